@@ -6,7 +6,6 @@ and in float64, on a press and on hard cases. Only standard operators of opset 1
 
 import hashlib
 import importlib.metadata
-import importlib.util
 import json
 import re
 import shutil
@@ -24,13 +23,9 @@ from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, completed, feed
 from fingerflow.export.verification import Difference, verify
-from fingerflow.schema.bundle_format import BUNDLE_FORMAT
+from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.unfinished import unfinished
 
-COORDINATES = (
-    "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
-    "(batch, 1, height, width)"
-)
 _PLAYER_FILES = ("README.md", "requirements.txt")
 
 

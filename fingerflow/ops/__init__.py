@@ -1,4 +1,4 @@
-"""Batched tensor ops: pure functions of tensors, one op a file, that know nothing of fingers."""
+"""Batched tensor ops: pure functions of tensors, one op per file, independent of the application to fingers."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -40,7 +40,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    """An op by its name, loaded when it is first used."""
+    """Return an op by its name; its module is imported on first use."""
     if name in _HOMES:
         return getattr(import_module(f"fingerflow.ops.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'fingerflow.ops' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""When the values of tensors may decide what is computed."""
+"""Test whether data-dependent branching is allowed."""
 
 import torch
 from torch import Tensor
@@ -7,8 +7,9 @@ from fingerflow.kernels.tensors.serving import is_recorded
 
 
 def looks(*tensors: Tensor | None) -> bool:
-    """Whether it is worth looking into tensors for what needs no work: where nothing is traced, so that shapes may
-    depend on values, and where looking costs no wait for a device.
+    """Return True if branching on tensor values, also for shapes, is allowed.
+
+    It is not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """
     traced = torch.compiler.is_compiling() or is_recorded()
     return not traced and all(one is None or (type(one) is Tensor and one.is_cpu) for one in tensors)

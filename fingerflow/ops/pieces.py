@@ -1,4 +1,4 @@
-"""Batches computed a few frames at a time, so that intermediate planes stay in a processor's cache."""
+"""Evaluation of batches a few frames at a time, so that intermediate planes stay in a processor's cache."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,17 +13,19 @@ _PIXELS = 1 << 19
 
 
 def frames_at_once(frames: Tensor) -> int:
-    """Return how many of frames (B, 1, H, W) are computed at once where many planes of each are needed."""
+    """Return how many frames of (B, 1, H, W) to compute at once where each needs many intermediate planes."""
     return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
-    """Return `compute(*given)`, a tensor or a named tuple of tensors, each of a row a frame.
+    """Return `compute(*given)`, a tensor or a named tuple of tensors with one row per frame, computed in pieces.
+
+    While a graph is traced and on devices other than the CPU the whole batch is computed in one call.
 
     Args:
-        compute: computes each frame by itself.
-        at_once: frames, at least 1 are taken.
-        given: tensors of B frames or of one for all, and None. At once while a graph is traced and on other devices.
+        compute: function that treats frames independently.
+        at_once: frames per piece; values below 1 count as 1.
+        given: tensors of B frames, tensors of one frame shared by all, or None.
     """
     frames = max(len(one) for one in given if one is not None)
     at_once = max(1, at_once)

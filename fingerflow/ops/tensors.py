@@ -1,4 +1,4 @@
-"""Small things that ONNX Runtime does several times as fast in another form."""
+"""Elementary tensor operations in forms that ONNX Runtime executes several times as fast."""
 
 import math
 
@@ -7,21 +7,24 @@ from torch import Tensor
 
 
 def components_first(points: Tensor) -> Tensor:
-    """(B, N, K) to (B, K, N); one that is NaN in a component is so in all.
+    """Transpose points (B, N, K) to (B, K, N); a point with NaN in one component becomes NaN in all.
 
-    A product, which takes the transposition into itself: alone it would be moved behind all that follows. Runtimes are
-    slow where the last axis is short.
+    Runtimes are slow where the last axis is short. The transposition is part of a matrix product, because an optimiser
+    would move a separate transposition behind the operations that follow.
     """
     return torch.eye(points.shape[2], dtype=points.dtype, device=points.device) @ points.transpose(1, 2)
 
 
 def finite(values: Tensor) -> Tensor:
-    """(...) bool of floating values: two operations where `isfinite` takes four."""
+    """Return (...) bool, True where floating values are finite: two operations where `isfinite` takes four."""
     return values.abs() < math.inf
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """(..., 1, P) of (..., K, P), K fixed, as a product with ones: a sum over such an axis is ten times as slow."""
+    """Sum (..., K, P) over K, a fixed number, to (..., 1, P).
+
+    It is a product with ones: a reduction over such an axis takes ten times as long.
+    """
     return values.new_ones(1, values.shape[-2]) @ values
 
 

@@ -1,1 +1,1 @@
-"""From a scene to a labelled data set: the plan, the run, and what an earlier result still holds."""
+"""Pipeline from experiment settings to a labelled data set: plan, run, and reuse of an earlier result."""

@@ -1,4 +1,4 @@
-"""The dictionary of outputs: every variable with its unit, definition, equation and the stage that gives it."""
+"""Dictionary of outputs: every variable with its unit, definition, equation and stage."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from fingerflow.schema.variables import STREAM, Variable
 
 
 class DictionaryEntry(NamedTuple):
-    """One variable.
+    """Description of one variable.
 
     Attributes:
-        stage: that gives it; "stream" for what only a stream has.
-        unasked: whether it is computed when nobody asks for it by name.
-        needs: keys of the scene without which there is none.
+        stage: name of the stage that computes it; "stream" for variables that only a stream has.
+        unasked: True if it is computed without being requested by name.
+        needs: keys that the scene must have for it.
         flags: meanings of the values 0, 1, 2 ...
     """
 
@@ -28,7 +28,7 @@ class DictionaryEntry(NamedTuple):
     flags: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Three or four lines of plain text."""
+        """Return three or four lines of plain text."""
         asked = "" if self.unasked else ", only where it is named"
         lines = [
             f"{self.name}  [{self.units}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
@@ -41,7 +41,7 @@ class DictionaryEntry(NamedTuple):
 
 
 def dictionary() -> tuple[DictionaryEntry, ...]:
-    """All variables, stage by stage in the order in which these run."""
+    """Return all variables, stage by stage in the order in which these run."""
     return tuple(
         _entry(variable, stage, needs)
         for stage, given, needs in (

@@ -1,4 +1,4 @@
-"""From the outputs that were asked for to the stages that are needed, and no other."""
+"""Plan of a run: the stages that the requested outputs need, in order."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -11,7 +11,7 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import Variable, by_name
 
-#: Every variable that there is, by its name.
+#: All variables by name.
 VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))
 #: Names of all outputs.
 OUTPUTS = tuple(sorted(VARIABLES))
@@ -26,18 +26,22 @@ _REMEDIES = {
 
 
 class Plan(NamedTuple):
-    """The stages, each behind those that it needs, and the variables that some of them give only when asked."""
+    """Stages in the order of their dependencies, and names of the optional variables that they compute."""
 
     stages: tuple[type[Stage], ...]
     asked: frozenset[str]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the stages."""
+        """Return the names of the stages."""
         return tuple(stage.name for stage in self.stages)
 
     def passes(self) -> list[list[type[Stage]]]:
-        """The stages by passes over the frames: those of one pass need each other's steps alone."""
+        """Return the stages grouped by passes over the frames.
+
+        Stages of one pass depend on each other only through their steps (`Stage.beside`); a stage in `Stage.after`
+        belongs to an earlier pass.
+        """
         number: dict[type[Stage], int] = {}
         for stage in self.stages:
             later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
@@ -49,10 +53,10 @@ class Plan(NamedTuple):
 
 
 def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
-    """The stages that give these outputs; None asks for everything that the scene's kind computes by default and the
-    scene allows.
+    """Return the stages that compute these outputs, and the stages they depend on.
 
-    Raises FingerflowError for an output that does not exist or that the scene cannot give.
+    None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
+    output that does not exist or that the scene cannot give.
     """
     by_setting = ("dense_flow_slip",) if scene.has("dense_flow_slip") else ()
     stages = all_stages((*KINDS[scene.kind].instead, *by_setting))
@@ -98,7 +102,10 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
 
 
 def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
-    """Keys of the scene that a stage, or one that it needs, wants in vain; `at` has the stages by their place."""
+    """Return the keys that a stage and its dependencies need and the scene lacks.
+
+    `at` maps `Stage.place` to the implementation that is used.
+    """
     lacking = [need for need in stage.needs if not scene.has(need)]
     earlier = (at[one] for one in (*stage.after, *stage.beside))
     return lacking + [key for one in earlier for key in _lacking(one, scene, at)]

@@ -1,8 +1,8 @@
-"""What of an earlier result still holds for a scene as it is now, stage by stage.
+"""Reuse of an earlier result: check stage by stage which results are still valid for the current settings.
 
-A stage's key is a digest of its settings, of the keys of the stages before it, of the frames where any of them reads
-pictures, of the code and of what computes: results of two engines agree to rounding alone. Where it is the same, so are
-the results, bit for bit.
+The key of a stage is a digest of its settings, the keys of the stages before it, the code, the engine and the device,
+and of the frames where it or a stage before it reads pictures. The engine counts because results of two engines agree
+only to rounding. Where the key is the same, results are the same bit for bit.
 """
 
 import json
@@ -25,7 +25,7 @@ from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.store import Store
 
-#: Attributes of a result: what `record` says, and what was taken over from which file.
+#: Attributes of a result: the keys of its stages (`record`); the stages taken over, and from which file.
 STAGES, TAKEN_OVER = "stages", "taken_over"
 _TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
 _PICTURES = ("background.frames", "background.dark")
@@ -41,15 +41,15 @@ _CODE = (
     "schema",
     "tracker",
 )
-_SHOWN = 60  # characters of a setting in a sentence
+_SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """What the results of a stage depend on.
+    """Everything that the results of a stage depend on.
 
     Attributes:
         digest: of all of it.
-        settings: by dotted keys of the scene, as they count; of a file a digest of what is read of it.
+        settings: values by dotted keys of the scene. A file is represented by a digest of the content that is read.
     """
 
     digest: str
@@ -57,13 +57,13 @@ class StageKey(NamedTuple):
 
 
 class Reused(NamedTuple):
-    """What of an earlier result holds.
+    """Stages of an earlier result that are still valid.
 
     Attributes:
-        earlier: that result, open.
+        earlier: the earlier result, open.
         path: its file.
-        stages: whose results are taken from it.
-        computed: why the others run, a sentence each.
+        stages: stages whose results are copied from it.
+        computed: for each other stage, a sentence that says why it is computed again.
     """
 
     earlier: xr.Dataset
@@ -72,27 +72,27 @@ class Reused(NamedTuple):
     computed: Mapping[type[Stage], str]
 
     def restore(self, stage: Stage) -> None:
-        """Gives a stage, in place of running it, what it gave then, its warnings too."""
+        """Restore results and warnings of a stage from the earlier result, instead of running it."""
         stage.restore(self.earlier)
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 
     def said(self) -> str:
-        """Which stages are taken over and why others are not, as JSON, for a result."""
+        """Return as JSON which stages are taken over and why the others are not; an attribute of the result."""
         names = sorted(stage.name for stage in self.stages)
         computed = {stage.name: why for stage, why in self.computed.items()}
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """The key of each stage of a plan, by `Stage.place`.
+    """Return the key of each stage of a plan, by `Stage.place`.
 
-    ``engine`` is the name that the result states, ``recording`` what `identity_of` says of it.
+    `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
-    known: dict[str, list[tuple[str, Any]]] = {}  # several stages have the same pictures of the empty glass to read
-    pictures: set[type[Stage]] = set()  # stages whose results depend on some
+    known: dict[str, list[tuple[str, Any]]] = {}  # cache: several stages digest the same background frames
+    pictures: set[type[Stage]] = set()  # stages whose results depend on frames
     for stage in plan.stages:
         before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
         for one in stage.settings:
@@ -111,7 +111,7 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
 def record(
     plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
 ) -> str:
-    """What a result says of its stages, for `reused`: JSON."""
+    """Return keys, computed variables and warnings of all stages as JSON, for `reused`."""
     return json.dumps(
         {
             kind.name: {
@@ -125,9 +125,9 @@ def record(
 
 
 def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], StageKey], inputs: Inputs) -> Reused:
-    """Which stages of a plan an earlier result makes unnecessary.
+    """Return which stages of a plan need not run, as their results in `earlier` are still valid.
 
-    Raises FingerflowError where it is of another recording, or of other frames of it.
+    Raises FingerflowError where the result is of another recording, or of other frames of it.
     """
     if "recording" in earlier.attrs and (now := identity_of(inputs.recording)) != earlier.attrs["recording"]:
         raise FingerflowError(
@@ -144,7 +144,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
         why = whole or _why_not(stage, plan, keys[place], known.get(stage.name), computed)
         if why:
             computed[place] = why
-    # A stage that runs wants the steps of those beside it, and of those before it what only they know.
+    # A stage that runs needs the steps of stages beside it, and stages after which it comes unless `restored`.
     for stage in reversed(plan.stages):
         if stage.place() in computed:
             for other in plan.stages:
@@ -158,7 +158,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _why_not(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Why a stage's earlier results do not hold, empty where they do."""
+    """Return why a stage's earlier results are not valid, or an empty string where they are."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
@@ -182,7 +182,7 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """A key of the scene with its value, or all keys of a table."""
+    """Yield a key of the scene with its value, or all keys of a table."""
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return
@@ -204,13 +204,13 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 def _content(file: Path) -> str:
     try:
         return digest_of_bytes([file.read_bytes()])
-    except OSError:  # the stage that reads it says so
+    except OSError:  # reported by the stage that reads the file
         return ""
 
 
 @cache
 def code_version() -> str:
-    """Digest of all source that results depend on, and of the compiled kernels."""
+    """Return a digest of all source that results depend on, and of the compiled kernels."""
     package = Path(__file__).parents[1]
     files = [file for room in _CODE for file in (package / room).rglob("*.py")]
     files += package.glob("_kernels*")

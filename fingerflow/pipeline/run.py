@@ -1,4 +1,4 @@
-"""The main job: a scene in, a labelled data set out."""
+"""Run of the pipeline: from a scene file to a labelled data set."""
 
 import json
 import time
@@ -36,8 +36,8 @@ from fingerflow.schema.variables import Variable
 if TYPE_CHECKING:
     from fingerflow.export.runtime import OnnxRuntime
 
-_PICTURES = 8  # frames in memory at a time, and as many on their way
-_NUMBERS = 64  # frames at a time where no stage reads pictures
+_PICTURES = 8  # frames of a batch; as many again are decoded ahead
+_NUMBERS = 64  # frames of a batch where no stage reads pictures
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 
@@ -52,30 +52,31 @@ def process(
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> xr.Dataset:
-    """Computes ``outputs`` of a scene, and only what they need.
+    """Compute `outputs` of a scene, running only the stages that they need.
 
     Args:
         scene: from :func:`~fingerflow.schema.scene.load_scene`, or the path of its file.
-        outputs: names of variables, or one name, see ``fingerflow.pipeline.plan.OUTPUTS``; None for all that the scene
-        allows. device: "auto" (CUDA where it is there), "cpu", "cuda" ...
-        progress: show a bar.
-        engine: what computes contact, points and fields (`fingerflow.engines`): "native", the compiled library on the
+        outputs: names of variables, or one name, see ``fingerflow.pipeline.plan.OUTPUTS``; None for the default outputs
+            of the scene's kind that its settings allow.
+        device: "auto" (CUDA where available), "cpu", "cuda" ...
+        progress: show a progress bar.
+        engine: computes contact, points and fields (`fingerflow.engines`): "native", the compiled library on the
             processor; "torch", the modules of `fingerflow.graphs` on any device; "onnx", the same modules by ONNX
-            Runtime on the processor; "auto", native where it serves and torch elsewhere. The results agree to rounding,
-            and state which it was.
-        to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
-            appears when it is complete. None keeps them in memory.
-        overwrite: let that file replace one that is no result of `process`; never an input.
-        earlier: a result of the same recording: what does not depend on the settings that have changed since is taken
-            from there, and only the rest is computed. The attribute "taken_over" says what; the data are the same, bit
-            for bit. It may be the file that is written.
+            Runtime on the processor; "auto", native where it is available for the settings and torch elsewhere. Results
+            of the engines agree to rounding, and state the engine.
+        to: HDF5/NetCDF4 file to which results are written as they are computed, so that memory does not grow with the
+            number of frames. The file appears when it is complete. None keeps results in memory.
+        overwrite: allow replacing a file that is no result of `process`. An input is never replaced.
+        earlier: result of the same recording. Stages whose settings and inputs have not changed are copied from it, and
+            only the others are computed. The attribute "taken_over" lists them; the data are the same, bit for bit. It
+            may be the file that is written.
 
     Returns:
-        The data set, with what the stages that ran have given (`fingerflow.schema.variables`); of a file, what
-        is looked at is read from it.
+        Data set with the variables of the stages that ran (`fingerflow.schema.variables`). With `to`, values are read
+        from the file on access.
 
     Raises:
-        FingerflowError: whatever the user can put right, named with its file and value.
+        FingerflowError: for every error that the user can correct; the message names the file and the value.
     """
     if to is not None:
         process_to(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
@@ -94,7 +95,7 @@ def process_to(
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> None:
-    """As `process`, into a file that is not opened again."""
+    """Run `process` into a file without opening the result."""
     with torch.inference_mode():
         run_alone(steps_to(to, scene, outputs, device, engine, overwrite, earlier, progress, ahead=True))
 
@@ -107,26 +108,26 @@ def process_together(
     to: Sequence[str | Path] | None = None,
     overwrite: bool = False,
 ) -> list[xr.Dataset]:
-    """Results of several recordings that are computed in lock-step.
+    """Compute several recordings in lock-step and return their results.
 
-    Calls of the engine torch that several recordings make at the same time become one: those in pictures of one size
-    with the same settings. An accelerator, whose time for a few hundred points is that of starting its kernels, starts
-    them once for all recordings. Results agree with those of `process` to rounding. A processor with the compiled
-    library gains nothing; there the results are those of `process`, bit for bit.
+    Simultaneous calls of the torch engine are batched into one where views have the same size and settings are the
+    same. On an accelerator, a call with a few hundred points takes as long as launching its kernels; batching launches
+    them once for all recordings. Results agree with those of `process` to rounding. With the compiled library on a
+    processor nothing is gained, and results are those of `process`, bit for bit.
 
-    The seconds of a stage that a result states include those in which the stage waits for other recordings.
+    The seconds of a stage that a result states include the time in which the stage waits for other recordings.
 
     Args:
-        scenes: as for `process`; they may differ in numbers of points and frames, and in what they ask for.
+        scenes: as for `process`; they may differ in numbers of points and frames, and in their settings.
         outputs, device, engine, overwrite: as for `process`.
-        to: a file for each scene.
+        to: one file for each scene.
 
     Returns:
-        A data set for each scene.
+        One data set for each scene.
 
     Raises:
-        FingerflowError: as for `process`. An error of one recording does not touch the others; it is raised when all
-            have ended, and the files of the others are there.
+        FingerflowError: as for `process`. An error in one recording does not affect the others. It is raised after all
+            have ended, when the files of the others are complete.
     """
     outputs = outputs if outputs is None or isinstance(outputs, str) else list(outputs)
     if to is None:
@@ -138,8 +139,8 @@ def process_together(
 
 
 def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
-    """What `steps_to` of several recordings return, as `engines.together.run_together` gives it."""
-    with torch.inference_mode():  # around all of them: each would end it for the others
+    """Return the results of several `steps_to` generators, computed by `engines.together.run_together`."""
+    with torch.inference_mode():  # around all of them: leaving it in one would end it for the others
         return [run_alone(many[0])] if len(many) == 1 else run_together(many)
 
 
@@ -154,9 +155,10 @@ def steps_to(
     progress: bool = False,
     ahead: bool = False,
 ) -> Steps[None]:
-    """`process_to` as one of several recordings, for `run_steps`.
+    """Return the computation of `process_to` as a generator, to run several recordings with `run_steps`.
 
-    With `ahead` batches begin in a thread of their own, which other recordings would wait for.
+    With `ahead`, the stages before the last one process the next batch in a second thread. Recordings computed together
+    do not use it, as the others would wait for that thread.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     spare(to, *scene.files())
@@ -170,7 +172,7 @@ def steps_to(
 
 @dataclass(frozen=True)
 class _Way:
-    """How a recording is gone through: with a bar, with batches read in a thread of its own, from an earlier result."""
+    """Options of a run: progress bar, next batch computed ahead in a second thread, and the earlier result to reuse."""
 
     progress: bool = False
     ahead: bool = False
@@ -189,7 +191,7 @@ def _in_memory(
 
 @dataclass(frozen=True)
 class _Ready:
-    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated."""
+    """Opened scene: plan, inputs, ONNX runtime, size of the results in bytes, and definitions of the variables."""
 
     plan: Plan
     inputs: Inputs
@@ -199,7 +201,7 @@ class _Ready:
 
     @property
     def engine(self) -> str:
-        """Name of what computes, as results state it."""
+        """Return the name of the engine as results state it."""
         return self.inputs.engine.name if self.runtime is None else "onnx"
 
 
@@ -216,14 +218,14 @@ def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: 
 
 
 def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
-    """Every pass of the plan, into the store, but for what an earlier result has."""
+    """Run all passes of the plan into the store, except for stages restored from an earlier result."""
     wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
     said: dict[str, str] = {}
     with ExitStack() as held:
-        # Of forces alone no picture is looked at.
+        # Forces alone are computed without reading a frame, so the recording needs no identity.
         recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
         keys = keys_of(wanted, inputs, ready.engine, recording)
         known: Reused | None = None
@@ -244,7 +246,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     if runtime is not None:
-        seconds["export"] = runtime.seconds  # part of the stages that asked for it
+        seconds["export"] = runtime.seconds  # also counted in the stages that exported a graph
     scene = inputs.scene
     store.finish(
         inputs.times,
@@ -269,7 +271,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
 
 
 def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way: _Way) -> Steps[None]:
-    """Takes the frames through these stages, batch by batch."""
+    """Run one pass over the frames: begin the stages, step them batch by batch, and finish them."""
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
@@ -292,7 +294,10 @@ def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, fl
     *early, last = stages
 
     def begin(indices: np.ndarray) -> Steps[Batch]:
-        """Pictures, and all stages but the last one, which may still be busy with the batch before."""
+        """Return a batch with its frames, processed by all stages but the last one.
+
+        The last stage may still process the batch before.
+        """
         batch = Batch(indices)
         if pictures:
             with _timed(seconds, "decoding"):
@@ -308,7 +313,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, fl
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not way.progress)
     with bar:
         if way.ahead and pictures and early and torch.get_num_threads() > 1:
-            # Closed also after an error: the recording must not be while another thread reads from it.
+            # `closing` waits for the thread also after an error: the recording must not be closed while it reads.
             with closing(_ahead(begin_alone, batches)) as begun:
                 for batch in begun:
                     yield from _step(last, batch, seconds)
@@ -335,20 +340,20 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
         return None
     if device not in ("auto", "cpu"):
         raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
-    from fingerflow.export.runtime import OnnxRuntime  # what it needs to load is not needed otherwise
+    from fingerflow.export.runtime import OnnxRuntime  # slow import, only needed for this engine
 
     return OnnxRuntime(torch.get_num_threads())
 
 
 def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
-    """As map, but the next result is under way, in a thread of its own, while one is in use.
+    """Yield `act` of each item, like `map`, while the next result is computed in a second thread.
 
-    Closing it waits for what is under way.
+    Closing the generator waits for the running computation.
     """
     with ThreadPoolExecutor(max_workers=1) as worker:
         coming: Future[_Result] | None = None
         for some in given:
-            # Waited for before the one behind it begins: two results are alive at a time, not three.
+            # Wait before the next computation is submitted: two results are in memory at a time, not three.
             result = [] if coming is None else [coming.result()]
             coming = worker.submit(act, some)
             if result:

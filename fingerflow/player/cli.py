@@ -28,6 +28,7 @@ from fingerflow.player.settings import Settings
 from fingerflow.player.sources import kinds
 from fingerflow.player.stream import Player
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
+from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.tracker.stream import StreamTracker
 
@@ -36,10 +37,6 @@ _SUMMARY = {"processed", "latency_ms", "policy"}  # keys that identify a summary
 log = logging.getLogger("fingerflow.player")
 
 
-COORDINATES = (
-    "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
-    "(batch, 1, height, width)"
-)
 ReadForces = Callable[[Path], LiveForces | None]
 
 

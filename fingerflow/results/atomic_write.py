@@ -1,4 +1,4 @@
-"""Files that appear only when they are complete, and never in the place of what is not theirs to replace."""
+"""Atomic writing of files, and protection of inputs and foreign files from being replaced."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,16 +8,19 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.unfinished import remove, unfinished
 
-MARK = "written by fingerflow"  # in what has no structure of its own by which it is known: pages, pictures, videos
+MARK = "written by fingerflow"  # identifies files without structure of their own: pages, pictures, videos
 
-_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # one recording in two files
+_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # recordings stored in two files
 _END_BYTES = 1 << 20
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Raises FingerflowError where an output would replace an input, which may name a data set within its file; the
-    other file of a recording in two; or a picture of a folder of frames, among which a new one would be a frame too.
+    """Check that an output does not replace an input.
+
+    Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
+    in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
+    ("file::dataset").
     """
     for given in inputs:
         file = None if given is None else Path(str(given).split("::")[0])
@@ -36,7 +39,10 @@ def spare(output: Path, *inputs: Path | None) -> None:
 
 
 def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
-    """Raises FingerflowError where a file is there that the same command has not written, and may not be replaced."""
+    """Check that the output may be written.
+
+    Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
+    """
     if not overwrite and path.exists() and not path.is_dir() and not is_ours(path):
         raise FingerflowError(
             f"{path} exists and was not written by this command; give another name, remove it, or allow it by "
@@ -45,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Whether a file carries `MARK` in its first or last MiB, where pages, PNG and MP4 have what is said about them."""
+    """Return whether a file contains `MARK` in its first or last MiB, where pages, PNG and MP4 hold their metadata."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)
@@ -56,9 +62,9 @@ def is_marked(path: Path) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
+    """Call ``write`` with a temporary path in the same folder, then rename it: a crash leaves no half-written file.
 
-    Raises FingerflowError where the system does not let it be written.
+    Raises FingerflowError where the system does not allow writing.
     """
     with written_atomically(path) as part:
         write(part)
@@ -66,7 +72,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 @contextmanager
 def written_atomically(path: Path) -> Iterator[Path]:
-    """The temporary path of `write_atomically`, which becomes the file at the end."""
+    """Yield a temporary path that is renamed to `path` at the end, as `write_atomically` does."""
     part: Path | None = None
     try:
         if not path.name or path.is_dir():

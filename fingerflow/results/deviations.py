@@ -1,4 +1,4 @@
-"""Which standard deviations a result states: none that follows from positions whose errors no residual shows."""
+"""Standard deviations that a result states: NaN where residuals cannot show the errors of positions."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,22 +8,22 @@ import numpy as np
 from fingerflow.results.store import Store
 from fingerflow.schema.variables import Variable
 
-# What later stages weight points by stays as it is, and says what it is worth.
+# Later stages weight points by it: its values stay, and its definition says that they are too small.
 _OF_POSITIONS = "position_std_px"
 _AT_ONCE = 64  # frames
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """The variables, of which deviations say in their names that they do not hold.
+    """Return the variables; with a codec, the definitions of standard deviations state that they do not hold.
 
-    A codec that takes frames from each other leaves errors of positions that last and that neighbours share: neither
-    residuals nor scatter show them, so that a deviation can not be widened by them; on the press as H.264 22 to 34 % of
-    the errors lie within one deviation, for 68 % (`tests/recordings/test_lossy_deviations.py`). What has no known
-    deviation has none: NaN, so that no figure, table or test of a hypothesis takes it for one.
+    A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
+    residuals nor scatter show them, so a deviation cannot be widened to include them. On the press as H.264, 22 to 34 %
+    of the errors lie within one deviation instead of 68 % (`tests/recordings/test_lossy_deviations.py`). Unknown
+    deviations are NaN, so that no figure, table or hypothesis test uses them.
 
     Args:
         known: variables by name.
-        codec: that took frames from each other (`Recording.takes_from_other_frames`); None for none.
+        codec: codec that predicts frames from each other (`Recording.takes_from_other_frames`); None for none.
     """
     if codec is None:
         return dict(known)
@@ -37,7 +37,7 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
 
 
 def withhold(store: Store, known: Mapping[str, Variable]) -> None:
-    """Makes those deviations NaN; of a position it stays, for what is computed from this result later."""
+    """Set these deviations to NaN; that of a position stays, for later computations from this result."""
     for name in _withheld(known):
         if name in store:
             values = store[name]

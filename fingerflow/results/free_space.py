@@ -1,4 +1,4 @@
-"""Whether results fit where they are to go: HDF5 ends the process where a disk is full, so it is asked before."""
+"""Check that results fit in memory or on disk before they are written: HDF5 ends the process when a disk is full."""
 
 import shutil
 from collections.abc import Iterable
@@ -10,17 +10,17 @@ import psutil
 from fingerflow.errors import NoRoomError
 from fingerflow.schema.variables import LABELS, Variable
 
-# A file takes at least so much of what it may hold: numbers with a fraction are not compressed, but of the shipped
-# press there are three quarters of the triangles that there could be.
+# Least size of a file relative to `size_of_results`: floating-point data are not compressed, but the shipped press
+# has only three quarters of the largest possible number of triangles.
 _COMPRESSED = 0.7
-_LEFT_BYTES = 64 << 20  # of a disk, for what HDF5 still holds when it is closed
+_LEFT_BYTES = 64 << 20  # free space kept for data that HDF5 still buffers when it is closed
 _GB = 1e9
 
 
 def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
-    """Bytes of these variables in memory, of recordings with as many points as are asked for.
+    """Return the size in bytes of these variables in memory, if all requested points are found.
 
-    There are two triangles a point; regions of cells are small beside the others.
+    There are two triangles per point; the regions of cells are neglected.
     """
     sizes = {dim: len(names) for dim, names in LABELS.items()}
     sizes |= {"frame": frames, "point": points, "triangle": 2 * points}
@@ -33,7 +33,7 @@ def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> 
 
 
 def check_memory(needed: float) -> None:
-    """Raises NoRoomError where results of so many bytes do not fit in memory."""
+    """Raise NoRoomError where `needed` bytes of results do not fit in memory."""
     free = psutil.virtual_memory().available
     if needed > free:
         raise NoRoomError(
@@ -43,12 +43,12 @@ def check_memory(needed: float) -> None:
 
 
 def check_disk(path: Path, holds: float) -> None:
-    """Raises NoRoomError where a file of results that holds so many bytes cannot fit on its disk."""
+    """Raise NoRoomError where a file of results that holds so many bytes cannot fit on its disk."""
     _check_free(path, _COMPRESSED * holds)
 
 
 def check_write(path: Path, bytes_more: int) -> None:
-    """Raises NoRoomError where a disk has no room for the next bytes of a file, and for what is held back."""
+    """Raise NoRoomError where the disk lacks room for the next bytes of a file and for data that HDF5 still buffers."""
     _check_free(path, bytes_more + _LEFT_BYTES)
 
 

@@ -1,4 +1,4 @@
-"""A file that bears a full disk for a while."""
+"""File writer that tolerates a full disk for a while."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ log = logging.getLogger(__name__)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PATIENCE = 30.0  # s that a disk may be full
-_AGAIN = 1.0  # s between two tries
-_MOST = 256 << 20  # bytes that are kept meanwhile: half a minute of 700 points at 300 frames/s
+_AGAIN = 1.0  # s between two attempts
+_MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 300 frames/s
 
 
 class Refusal(NamedTuple):
-    """A disk that was full, and has room again."""
+    """Period in which the disk was full, reported after it has ended."""
 
     seconds: float
-    kept: int  # bytes, at the most
+    kept: int  # bytes, largest amount buffered
 
 
 class PatientFile:
-    """Appends to a file that is there. What a full disk refuses is kept in memory, and tried again each second.
+    """Writer that appends to an existing file and buffers data in memory while the disk is full, retrying each second.
 
-    Nothing is lost, and nobody waits, where there is room again within half a minute. While more is kept than memory
-    should hold, `flush` waits; after half a minute it raises the error of the disk.
+    Nothing is lost if space is freed within half a minute; after that, `flush` raises the error of the disk. `flush`
+    returns at once in between, unless `wait` is set or the buffer exceeds 256 MiB.
 
     Methods may be called by any thread.
 
@@ -47,25 +47,25 @@ class PatientFile:
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        """Bytes that are not in the file yet."""
+        """Return the number of bytes that are not in the file yet."""
         return len(self._kept)
 
     def write(self, data: bytes | memoryview) -> None:
-        """Takes bytes; `flush` writes them."""
+        """Buffer bytes; `flush` writes them."""
         with self._lock:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Writes what is kept; says how long the disk was full, once, where it has room again.
+        """Write the buffer, and return once, when the disk has room again, how long it was full.
 
         Args:
-            wait: for room, where there is none.
+            wait: wait for room where there is none.
 
         Raises:
-            OSError: of the disk; a full one has been full for half a minute.
+            OSError: of the disk; a full disk raises only after half a minute.
         """
         with self._lock:
-            # Writing a few bytes a thousand times a second to a full disk helps nobody.
+            # Do not retry with every record, up to a thousand times a second.
             if self._since is not None and not wait and time.monotonic() - self._tried < _AGAIN:
                 return None
             while self._kept:
@@ -79,15 +79,15 @@ class PatientFile:
             return self._recover()
 
     def sync(self) -> None:
-        """Waits until the disk has all that was written."""
+        """Wait until all written data are on the disk."""
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Closes the file; what `flush` could not write is lost."""
+        """Close the file; data that `flush` could not write are lost."""
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raises it where it is no full disk, or the disk is full for too long."""
+        """Raise the error unless the disk is full, and has been for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

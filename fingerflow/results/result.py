@@ -1,4 +1,4 @@
-"""Files of results: HDF5/NetCDF4."""
+"""Result files in HDF5/NetCDF4."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -20,14 +20,14 @@ _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
     *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
 }
-MARK = "fingerflow_version"  # the attribute by which a result is known
+MARK = "fingerflow_version"  # attribute that identifies a result
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
-    """Writes HDF5/NetCDF4; the file appears only when it is complete.
+    """Write a result as HDF5/NetCDF4; the file appears only when it is complete.
 
-    Raises FingerflowError where it cannot be written, as on a disk without as much room as the result takes in memory,
-    and without `overwrite` where a file is there that is no result.
+    Raises FingerflowError where it cannot be written, for example if the disk has less free space than the result takes
+    in memory, and without `overwrite` where the path is an existing file that is no result.
     """
     keep_others(path, is_result, overwrite)
     check_write(path, result.nbytes)
@@ -36,7 +36,7 @@ def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None
 
 
 def load_result(path: Path) -> xr.Dataset:
-    """Reads what :func:`save_result` or `process` wrote.
+    """Read a file that :func:`save_result` or `process` wrote.
 
     Raises FingerflowError where the file is missing or is something else.
     """
@@ -45,7 +45,7 @@ def load_result(path: Path) -> xr.Dataset:
 
 
 def is_result(path: Path) -> bool:
-    """Whether a file is what :func:`save_result` or `process` writes."""
+    """Return whether a file was written by :func:`save_result` or `process`."""
     try:
         with open_hdf5(path) as file:
             return MARK in file.attrs
@@ -54,21 +54,21 @@ def is_result(path: Path) -> bool:
 
 
 def open_result(path: Path) -> xr.Dataset:
-    """As :func:`load_result`, but values are read from the file when they are looked at; close it when done."""
+    """Open a file as :func:`load_result`, but read values on access; close it when done."""
     check_file(path)
     check_by_walking(path, "hdf5")
     return open_own(path)
 
 
 class StoredValues(NamedTuple):
-    """A variable: values, and attributes where they were asked for."""
+    """Values of a variable, and its attributes where they were requested."""
 
     values: NDArray[Any]
     attrs: Mapping[str, Any]
 
 
 class Own(dict[str, StoredValues]):
-    """Some variables of a result by their names, and the attributes of the whole."""
+    """Some variables of a result by name, and the attributes of the file."""
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
@@ -76,11 +76,10 @@ class Own(dict[str, StoredValues]):
 
 
 def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
-    """Those variables of a file that this process has just written, as far as it has them, and its attributes.
+    """Read variables and attributes of a file that this process has just written; missing variables are left out.
 
-    Of the variables, attributes are read of those that are `described`. Values and texts are those of
-    :func:`load_result`, which looks at every variable of the file first: of a small recording that takes longer than a
-    stage.
+    Attributes are read only of the variables named in `described`. Values and texts are those of :func:`load_result`,
+    which opens every variable of the file first; for a small recording that takes longer than a stage.
     """
     described = set(described)
     with h5py.File(path) as file:
@@ -90,10 +89,10 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
 
 
 def open_own(path: Path) -> xr.Dataset:
-    """As :func:`open_result`, of a file that this process has just written: no damage is expected in it."""
+    """Open a file as :func:`open_result`, without the checks for damage: this process has just written it."""
     try:
         result = xr.open_dataset(path, engine="h5netcdf")
-    except Exception as error:  # whatever the library raises at a damaged file
+    except Exception as error:  # a damaged file may raise any exception
         raise FingerflowError(
             f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"
         ) from error
@@ -111,9 +110,9 @@ def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
 
 
 def scene_of(path: Path) -> Path:
-    """The scene file of which a file is the result.
+    """Return the scene file from which a result was computed.
 
-    Raises FingerflowError where the file is no result, or that scene is not there any more.
+    Raises FingerflowError where the file is no result, or its scene file does not exist any more.
     """
     with open_result(path) as stored:
         scene = Path(json.loads(stored.attrs.get("settings", "{}")).get("path", ""))

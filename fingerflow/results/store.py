@@ -1,4 +1,4 @@
-"""Results on their way: arrays by variable, in memory or in a file that grows frame by frame."""
+"""Stores for results while they are computed: arrays by variable, in memory or in a file that grows frame by frame."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -15,21 +15,22 @@ from numpy.typing import NDArray
 from fingerflow.results.free_space import check_disk, check_memory, check_write
 from fingerflow.schema.variables import LABELS, TIME, Variable
 
-_GROWING = ("point",)  # dimensions that may grow while others are written
-_CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
-# Times what a frame holds in a variable that may grow: three times the points (`pipeline.stages.tracking.tracking`), in
-# chunks that are not full. What HDF5 cannot hold of a row of chunks it would write and read again with every batch.
+_GROWING = ("point",)  # dimensions that may grow after a variable is created
+_CHUNK_BYTES = 1 << 20  # chunk cache of HDF5 for one variable
+# Factor by which a frame of a growing variable may grow: three times the points, in chunks that are not full
+# (`pipeline.stages.tracking.tracking`). A row of chunks larger than the cache would be written and read again with
+# every batch.
 _MOST_GROWTH = 4
-_CHUNK_FRAMES = 64  # of a chunk: as many as stages read at a time; HDF5 gathers smaller batches until it is full
-# A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
-# measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
+_CHUNK_FRAMES = 64  # frames of a chunk: as many as stages read at a time; HDF5 caches smaller batches
+# Bytes of a frame below which chunks are not worth their overhead. Only integers are compressed: most bits of positions
+# and strains are noise, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
 _TEXT, _ONE_VALUE = h5t.py_create(h5py.string_dtype(), logical=True), h5s.create(h5s.SCALAR)
-_CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
+_CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more points do not double the file
 
 
 class Values(Protocol):
-    """Values of a variable by its first dimension, frames mostly; an index is a slice, or consecutive numbers."""
+    """Values of a variable, indexed along its first dimension (mostly frames) by a slice or consecutive numbers."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -40,20 +41,20 @@ class Values(Protocol):
 
 
 class Store(ABC):
-    """Variables of a trial while stages write and read them.
+    """Variables of a run while stages write and read them.
 
-    A variable is created once, when the sizes of its dimensions are known, and then filled by frames: NaN, or 0 for
-    whole numbers, until they are written.
+    A variable is created once, when the sizes of its dimensions are known, and then filled frame by frame. Values that
+    are not written yet are NaN, or 0 for integers.
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Variables that may be created are `known`, by their names."""
+        """Prepare a store for so many `frames`; only the variables in `known`, by name, may be created."""
         self._known = known
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
 
     def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
-        """The variable of this name, empty; `sizes` of dimensions that no variable had before."""
+        """Create an empty variable and return it; `sizes` gives the sizes of new dimensions."""
         self._sizes.update(sizes)
         variable = self._known[name]
         of_it = {**variable.attributes(), **(attributes or {})}
@@ -61,11 +62,11 @@ class Store(ABC):
         return values
 
     def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
-        """A variable as a whole."""
+        """Create a variable and write all of its values."""
         self.create(name, attributes, **sizes)[:] = values
 
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
-        """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
+        """Extend a dimension of all variables that have it; new values are empty, or `fills` by variable."""
         before, self._sizes[dim] = self._sizes[dim], size
         for name in list(self._values):
             if dim in self._known[name].dims:
@@ -85,15 +86,15 @@ class Store(ABC):
 
     @abstractmethod
     def check_room(self, needed: float) -> None:
-        """Raises NoRoomError where results that need so many bytes more do not fit."""
+        """Raise NoRoomError where results of `needed` more bytes do not fit."""
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Adds the coordinates and the attributes of the whole: nothing is written any more."""
+        """Add the coordinates and the global attributes; nothing is written after it."""
 
 
 class MemoryStore(Store):
-    """In memory; `dataset` when it is finished."""
+    """Store in memory; `dataset` is set by `finish`."""
 
     dataset: xr.Dataset
 
@@ -125,10 +126,10 @@ class MemoryStore(Store):
 
 
 class FileStore(Store):
-    """In a file of HDF5/NetCDF4, of which a part is in memory at a time, whatever the number of frames.
+    """Store in an HDF5/NetCDF4 file; the part in memory does not grow with the number of frames.
 
-    Dimensions become scales when it is finished, as the conventions of NetCDF-4 on HDF5 have them: one by one, with
-    each variable, they take longer than the numbers of a small recording.
+    Dimension scales of NetCDF-4 are written in `finish`: attaching them with each variable takes longer than writing
+    the numbers of a small recording.
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
@@ -197,7 +198,7 @@ class FileStore(Store):
         return self._datasets[name]
 
     def _add_scales(self) -> None:
-        """Makes the dimensions of all variables known to HDF5 (H5DS) and to NetCDF-4."""
+        """Write the dimensions of all variables as HDF5 dimension scales (H5DS) and NetCDF-4 dimensions."""
         used = dict.fromkeys(dim for dims in self._dims.values() for dim in dims)
         numbers = {dim: np.int32(number) for number, dim in enumerate(used)}
         scales: dict[str, h5py.Dataset] = {}
@@ -206,8 +207,8 @@ class FileStore(Store):
             if dim in self._datasets:
                 scales[dim], said = self._datasets[dim], dim
             else:
-                # Of a fixed size, as nothing grows any more: for the size of a dimension without an end h5netcdf asks
-                # all its variables, again and again, which takes longer than all else that opening does.
+                # Fixed size, as nothing grows any more: for an unlimited dimension h5netcdf queries all its variables
+                # repeatedly, which takes longer than the rest of opening the file.
                 scales[dim] = self._file.create_dataset(dim, (size,), ">f4", track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
             scales[dim].make_scale(said)
@@ -224,15 +225,15 @@ class FileStore(Store):
 
 
 def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None, ...]:
-    """The shape that a variable may grow to; None is without an end."""
+    """Return the maximum shape of a variable; None for an unlimited dimension."""
     return tuple(None if dim in _GROWING else size for dim, size in zip(dims, shape, strict=True))
 
 
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
-    """Writes attributes, which are not there yet, as NetCDF has them: texts, and arrays of numbers.
+    """Write new attributes in the NetCDF form: texts, and arrays of numbers.
 
-    By HDF5's own calls, as all that is written here: those of h5py above them take three times as long, and a result
-    has some 350 attributes.
+    It uses HDF5's low-level calls, as h5py's high-level ones take three times as long and a result has some 350
+    attributes.
     """
     for name, value in attributes.items():
         if isinstance(value, str):
@@ -246,26 +247,26 @@ def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -
 
 @lru_cache(64)
 def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
-    """That of HDF5 for an array of this shape, all of it."""
+    """Return HDF5's dataspace for a whole array of this shape."""
     return h5s.create_simple(shape)
 
 
 @cache
 def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    """That of HDF5 for numbers."""
+    """Return HDF5's type for numbers."""
     return h5t.py_create(dtype, logical=True)
 
 
 class _Stored:
-    """A variable of a file, read and written by consecutive frames in either order."""
+    """A variable in a file, read and written by consecutive frames, ascending or descending."""
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
-        self._part = variable.id.get_space()  # of the file, with the frames that are read or written selected
+        self._part = variable.id.get_space()  # dataspace in the file; the selected frames are read or written
         self._dtype, self._kind = variable.dtype, _type(variable.dtype)
 
     def resize(self, size: int, axis: int) -> None:
-        """Makes an axis longer."""
+        """Extend an axis."""
         self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
         self._id.set_extent(self.shape)
         self._part = self._id.get_space()
@@ -290,19 +291,19 @@ class _Stored:
             self._id.write(memory, part, given, self._kind)
 
     def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
-        """Of so much in memory, and of as much from this frame on in the file."""
+        """Return the dataspaces of an array in memory and of as many frames in the file, starting with `first`."""
         self._part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
         return _space(shape), self._part
 
     def _consecutive(self, index: Any) -> tuple[int, int, int]:
-        """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""
+        """Return the lowest of consecutive frame numbers, their count, and step 1 (ascending) or -1 (descending)."""
         if isinstance(index, slice):
             first, end, step = index.indices(self.shape[0])
             if step == 1:
                 return first, max(end - first, 0), 1
             numbers = list(range(first, end, step))
         else:
-            numbers = np.asarray(index).tolist()  # of a few numbers Python tells sooner than NumPy
+            numbers = np.asarray(index).tolist()  # for a few numbers Python is faster than NumPy
         if not numbers:
             return 0, 0, 1
         first, last = numbers[0], numbers[-1]
@@ -314,5 +315,5 @@ class _Stored:
 
 
 def _fill(variable: Variable) -> tuple[float, str]:
-    """What stands where nothing was written, and the kind of number."""
+    """Return the fill value of unwritten elements, and the dtype."""
     return (np.nan if variable.kind.startswith("f") else 0), variable.kind

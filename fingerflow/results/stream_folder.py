@@ -1,4 +1,4 @@
-"""The folder of results of a stream: how it is written and read."""
+"""Results folder of a stream: format, reading and writing."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from fingerflow.schema.variables import FRAME, LABELS
 
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
-_AT_ONCE = 1 << 13  # bytes of records that are written together: what a killed process loses
+_AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the process is killed
 
 
 class StreamResults(NamedTuple):
-    """What `read_results` gives: one record a processed frame, the header, and what happened beside the frames."""
+    """Result of `read_results`: one record per processed frame, the header, and the events."""
 
     records: Array
     header: dict[str, Any]
@@ -35,7 +35,7 @@ class StreamResults(NamedTuple):
 
 
 def read_results(folder: str | Path) -> StreamResults:
-    """Reads a results folder, also one that is being written or whose writer was killed: the whole records of it.
+    """Read the complete records of a results folder; its writer may still be running or have been killed.
 
     ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
     ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
@@ -64,9 +64,10 @@ def read_results(folder: str | Path) -> StreamResults:
 
 
 def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
-    """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
+    """Write the scalars and components of each frame as CSV, one row per frame.
 
-    Raises PlayerError where the file cannot be written, or exists and is not to be replaced.
+    Columns are named as by `fingerflow export-table`. Raises PlayerError where the file cannot be written, or exists
+    without `overwrite`.
     """
     records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
@@ -96,15 +97,16 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
 
 
 class Sink:
-    """Appends records to a new folder; a kill loses at most what came since the last second.
+    """Writer that appends records to a new folder; a killed process loses at most the records of the last second.
 
-    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when. Where
-    the disk is full, records wait in memory for half a minute (`PatientFile`); the event `disk_full` says how long.
+    header.json describes a record, records.bin holds the records one after another, and events.jsonl the events with
+    their times. While the disk is full, records are buffered in memory for half a minute (`PatientFile`); the event
+    `disk_full` gives the duration.
 
     Args:
         folder: a new one.
-        header: what header.json says.
-        numbered: take the first of folder, folder-2, folder-3 ... that is new.
+        header: content of header.json.
+        numbered: use the first of folder, folder-2, folder-3 ... that does not exist.
     """
 
     def __init__(self, folder: Path, header: Mapping[str, Any], numbered: bool = False) -> None:
@@ -114,7 +116,7 @@ class Sink:
         self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
-        """Makes the folder; raises PlayerError where it is there already or cannot be made, and leaves nothing then."""
+        """Create the folder. Raises PlayerError where it exists or cannot be created; nothing is left behind then."""
         with self._said():
             self._make()
         self._made = True
@@ -126,7 +128,7 @@ class Sink:
             raise
 
     def discard(self) -> None:
-        """Removes the folder that `open` has made: of a stream to which no frame came."""
+        """Remove the folder that `open` created, if the stream received no frame."""
         for name in ("header.json", "events.jsonl", "records.bin") if self._made else ():
             with contextlib.suppress(OSError):
                 (self.folder / name).unlink()
@@ -135,8 +137,9 @@ class Sink:
                 self.folder.rmdir()
 
     def _make(self) -> None:
-        """The folder appears with its header. Another stream may have begun in the same second: then the name gets a
-        number, unless it was given.
+        """Create the folder together with its header.
+
+        If another stream began in the same second, a number is appended to the name, but only with `numbered`.
         """
         named = self.folder
         for number in itertools.count(2):
@@ -148,7 +151,7 @@ class Sink:
                     part.rename(self.folder)
                     return
                 except OSError:
-                    if not self.folder.exists():  # else another stream was faster
+                    if not self.folder.exists():  # otherwise another stream has just created it
                         raise
                 finally:
                     remove(part)
@@ -169,7 +172,7 @@ class Sink:
         self._records = PatientFile(self.folder / "records.bin")
 
     def write(self, record: Array, frame: int) -> None:
-        """The record of a frame as bytes; once a second all of them go to the disk."""
+        """Append the record of a frame; once a second all records are flushed to the disk."""
         assert self._records is not None
         self._frame = frame
         self._records.write(record.data)
@@ -186,7 +189,7 @@ class Sink:
             self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
-        """One line; may come from any thread."""
+        """Append an event as one line; may be called from any thread."""
         assert self._events is not None
         line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
         with self._said():
@@ -194,7 +197,7 @@ class Sink:
             self._events.flush()
 
     def close(self) -> None:
-        """Writes what is left; raises PlayerError where that fails."""
+        """Write the remaining data. Raises PlayerError where that fails."""
         if self._records is None or self._events is None:
             return
         with self._said():

@@ -1,4 +1,4 @@
-"""The folder that a played stream leaves, as the labelled data set that `process` gives."""
+"""Conversion of the folder of a played stream to a labelled data set like that of `process`."""
 
 import json
 from pathlib import Path
@@ -24,19 +24,19 @@ from fingerflow.schema.variables import (
 
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
-_WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that hold for a length over which they are fitted
-_TRACKED = 0  # of the flags of `status`
+_WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that depend on the gauge length
+_TRACKED = 0  # flag of `status`
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
-    """Opens the results of a stream.
+    """Open the results of a stream as a data set.
 
-    Variables have the names, dimensions, units, definitions and flags that :func:`fingerflow.process` gives, as far as
-    a stream has them.
+    Variables have the names, dimensions, units, definitions and flags of :func:`fingerflow.process`, as far as a stream
+    has them.
 
-    Values of points are mapped from the file, and read when they are used. ``point`` counts the places of the largest
-    choice of points: behind a `restart` the same place is another point. A stream that is still running, or was killed,
-    gives the frames that are whole.
+    Values at points are mapped from the file and read on access. The size of ``point`` is that of the largest set of
+    seeded points: after a `restart`, the same index is another point. A stream that is still running, or was killed,
+    gives its complete frames.
 
     Raises FingerflowError where it is no folder of results.
     """
@@ -65,14 +65,14 @@ def _labelled(results: StreamResults) -> xr.Dataset:
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
-    """What the records hold, and what follows from it."""
+    """Return the variables in the records, and those derived from them."""
     records, header = results.records, results.header
     points = max(chosen, default=0)
     found: dict[str, Array] = {}
     for name in records.dtype.names or ():
         variable = _VARIABLES.get(name)
         if variable is not None:
-            # Graphs have room for more points than may be found.
+            # The records have room for more points than were found.
             found[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
     if "position_px" in found:
         matrix = np.array(header["topography_to_contact"])
@@ -95,7 +95,7 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
 
 
 def _medians(values: Array) -> Array:
-    """Of what is known in each row (F, N); NaN where nothing is."""
+    """Return the median of the finite values in each row (F, N); NaN where there are none."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 

@@ -1,3 +1,7 @@
-"""Format number of bundles, increased whenever a player of another version cannot play them."""
+"""What every file of a deployment bundle and of a stream says of itself."""
 
-BUNDLE_FORMAT = 6
+BUNDLE_FORMAT = 6  # increased whenever a player of another version cannot play a bundle
+COORDINATES = (
+    "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
+    "(batch, 1, height, width)"
+)

@@ -4,7 +4,9 @@ import struct
 
 MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
 MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
-_MOST_PIXELS_A_BYTE = 1032  # deflate's limit; JPEG stays below it
+# Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes); codecs of pictures stay
+# below it.
+MOST_COMPRESSED = 1032
 _ALWAYS = 1 << 20  # pixels
 _PNG = b"\x89PNG\r\n\x1a\n"
 _NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG: markers without a length
@@ -17,7 +19,7 @@ def impossible_picture(data: bytes | memoryview) -> str:
     The text continues a sentence that begins with the name of the file.
     """
     height, width = picture_size(data) or (1, 1)
-    if not 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data) + _ALWAYS):
+    if not 0 < height * width <= min(MOST_PIXELS, MOST_COMPRESSED * len(data) + _ALWAYS):
         return f"its header says {height} x {width} pixels, which a file of {len(data)} bytes cannot hold"
     at = 8
     while data[:8] == _PNG and at + 12 <= len(data):

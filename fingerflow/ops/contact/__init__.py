@@ -1,1 +1,1 @@
-"""Real and apparent contact area of a picture."""
+"""Real and apparent contact area of images."""

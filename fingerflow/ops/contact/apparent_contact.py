@@ -1,4 +1,4 @@
-"""The region that a pattern spans: stripes or dots with what lies between them, up to where the pattern ends."""
+"""Apparent (gross) contact: the region spanned by a pattern of stripes or dots, including the gaps between them."""
 
 import functools
 import math
@@ -12,21 +12,22 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.contact.cells import cell_means, enlarge, widest
 
-_LEAST_SHARE = 0.2  # of a region that its pattern covers at least
+_LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
 _FIRST_ROUNDS, _ROUNDS = 2, 3
-_PART = 32  # cells of a line that are smoothed by one product
-_BLOCK = 8  # cells, a side of a block in which a component is followed
+_PART = 32  # cells of a line smoothed by one matrix product
+_BLOCK = 8  # cells, side of the blocks on which components are separated
 
 
 class ApparentRegion(NamedTuple):
-    """The regions of B frames.
+    """Apparent contact regions of B frames.
 
     Attributes:
-        density_margin: (B, 1, h, w) density of the pattern above its limit, on cells: positive inside the region,
+        density_margin: (B, 1, h, w) density of the pattern minus its limit, on cells: positive inside the region,
             smooth across its border (`ops.contact.cells.covered`).
-        covered_px, area_px: (B,) px, of the pattern (all of it in the frame) and of the region.
-        center: (B, 2) as (x, y) px, with `semi_axes` (B, 2) px, major first, and `angle` (B,) rad (as in
-            `ops.fit_ellipse`) the ellipse of the region's moments; NaN where it is empty.
+        covered_px, area_px: (B,) px, areas of the pattern (in the whole frame) and of the region.
+        center: (B, 2) px, (x, y) of the ellipse with the region's moments; NaN for an empty region, as the next two.
+        semi_axes: (B, 2) px of the ellipse, major first.
+        angle: (B,) rad of the ellipse, as in `ops.contact.ellipse.fit_ellipse`.
     """
 
     density_margin: Tensor
@@ -40,24 +41,25 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """The part of a frame around its densest place, without holes, where the mask is about half as dense as inside.
+    """Segment the region around the densest position, without holes, up to where the mask is about half as dense.
 
-    The density is the mean of the mask over about two periods (three box means). At a straight border it has fallen to
-    one half of that inside, whatever the direction of the pattern; at a border curved outwards to less. How much less
-    is read from the region itself, smoothed in the same way. The region and the density inside depend on each other: a
-    fixed point, near after few rounds.
+    The density is the mean of the mask over about two periods (three box means). At a straight border it falls to one
+    half of the density inside, whatever the direction of the pattern. At a convex border it falls further; that level
+    is measured on the region itself, smoothed in the same way. The region and the density inside depend on each other
+    and are found by a fixed-point iteration, which converges in a few rounds.
 
-    The density is smooth over the boxes, so cells of a fourth of their side lose nothing of it. Where the border
-    crosses a cell, the cell counts by the part that lies inside, from the density's slope. Holes are filled where the
-    region lies on all four sides. Parts of the region are told apart on blocks of 8 cells. A fixed cost, no branch.
+    The density varies slowly over a box, so cells with a fourth of the box's side resolve it. A cell crossed by the
+    border counts by the fraction inside, which follows from the slope of the density. A hole is filled where the region
+    lies on all four sides of it. Components are separated on blocks of 8 cells. The cost is fixed, without
+    data-dependent branches.
 
     Args:
         mask: (B, 1, H, W) bool.
-        radius: px, half the period of the pattern or a little more, up to 255. Boxes have the side 2 radius + 1 and
-            see nothing beyond the frame.
-        cell: px, by the radius (`cell_of`) where it is None. With cells of 8 px and a radius of 8 the area is 0.6 %
-            off where it is 14 mm² or more, 2 % at 7 mm² (32.5 um a pixel).
-        precision: of the sums on cells.
+        radius: px, half the period of the pattern or slightly more, 1 to 255. The boxes have the side 2 radius + 1; the
+            mask counts as empty beyond the frame.
+        cell: px; None derives it from the radius (`cell_of`). With cells of 8 px and a radius of 8 the error of the
+            area is 0.6 % from 14 mm² on and 2 % at 7 mm² (at 32.5 um per pixel).
+        precision: dtype of the sums on cells.
 
     Raises:
         TypeError: `mask` is not bool.
@@ -81,25 +83,25 @@ def apparent_contact(
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
-    """Of the shares (B, 1, h, w) of each cell that the mask covers."""
+    """Segment the region from the share (B, 1, h, w) of each cell that the mask covers."""
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
     height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
-        """The part of each cell that lies inside, were the density a plane across it."""
+        """Return the fraction of each cell above the limit, with the density approximated by a plane across it."""
         return (height - flat * limit).clamp(0.0, 1.0)
 
     def share(part: Tensor) -> Tensor:
-        # All that a border cell has of the pattern lies in the part of it that is inside.
+        # The pattern in a border cell is taken to lie entirely in the part inside.
         covered = (cells * part.sign()).sum((2, 3), keepdim=True)
         return (covered / part.sum((2, 3), keepdim=True).clamp_min(1)).clamp(_LEAST_SHARE, 1.0)
 
     part = inside(0.25)
     for _ in range(_FIRST_ROUNDS):
         part = inside(share(part) / 2)
-    # At a border that is curved outwards the density of the region itself is below one half.
+    # At a convex border the smoothed region itself is below one half.
     border = part * (1 - part)
     own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
     level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
@@ -108,25 +110,25 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         part = inside(limit)
     whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
-    # The border cells count in part, also those just outside.
+    # Border cells count by their fraction inside, including those just outside.
     near = widest(filled)
     hole = torch.clamp_min(filled - whole, 0)
-    # By extremes and products, several times as fast as comparisons and choices: in a hole the density does not
-    # exceed the limit, elsewhere it is not negative.
+    # Maxima and products are several times as fast as comparisons and `where`. They suffice because the density does
+    # not exceed the limit in a hole and is non-negative elsewhere.
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
     return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:
-    """Three box means of `width` cells; nothing lies beyond the frame."""
-    # What is made while a graph is traced is none to keep, and to a device nothing is brought.
+    """Smooth by three box means of `width` cells in x and y, with zeros beyond the frame."""
+    # Cache the matrices only outside tracing and on the CPU; elsewhere they are built where they are used.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
     boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
     down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
     if torch.compiler.is_exporting():
         return down @ cells @ along
-    # Boxes are 0 beyond their reach: of each part of a line only what lies within it of the part.
+    # The smoothing matrices are banded: each part of a line is multiplied only with the cells within reach.
     reach, (height, wide) = 3 * math.ceil(width / 2), cells.shape[-2:]
     of_rows = [down[own, near] @ cells[..., near, :] for own, near in _parts(height, reach)]
     rows = torch.cat(of_rows, dim=2)
@@ -134,13 +136,13 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
 
 
 def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
-    """Parts of a line, and what lies within a reach of each."""
+    """Return parts of a line of `side` cells, each with the range of cells within reach of it."""
     ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
     return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
 def _boxes(side: int, width: float, device: torch.device) -> Tensor:
-    """(side, side) float64: three box means of a line, over `width` places; those at its ends count in part."""
+    """Return the matrix (side, side) float64 of three box means of `width` cells; a box's end cells count in part."""
     place = torch.arange(side, dtype=torch.float64, device=device)
     box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
     return box @ box @ box
@@ -150,18 +152,17 @@ _kept_boxes = functools.lru_cache(16)(_boxes)
 
 
 def _slope(density: Tensor) -> Tensor:
-    """Length of the density's gradient, a cell, 1e-6 at least: half the difference of two neighbours, zeros beyond the
-    frame.
-    """
+    """Compute the length of the gradient per cell, at least 1e-6: central differences, with zeros beyond the frame."""
     along, down = functional.pad(density, (1, 1)), functional.pad(density, (0, 0, 1, 1))
     x, y = along[..., 2:] - along[..., :-2], down[..., 2:, :] - down[..., :-2, :]
     return ((x * x + y * y) / 4 + 1e-12).sqrt()
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """The cells connected to the densest one, by blocks: dilated step by step, as often as the longer side has blocks.
+    """Return the cells connected to the densest one, at the resolution of blocks.
 
-    (A part that winds through the blocks for longer than that ends there.)
+    The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
+    is longer is cut off there.
     """
     height, width = inside.shape[-2:]
     fit = (0, -width % _BLOCK, 0, -height % _BLOCK)
@@ -176,7 +177,7 @@ def _main_component(inside: Tensor, density: Tensor) -> Tensor:
 
 
 def _enclosed(inside: Tensor) -> Tensor:
-    """1 where the region lies to the left and right, above and below, or at the place itself."""
+    """Return 1 where the region lies to the left and right, above and below, or at the cell itself, else 0."""
     between = []
     for axis in (2, 3):
         side = inside.shape[axis]
@@ -184,13 +185,16 @@ def _enclosed(inside: Tensor) -> Tensor:
         place = place[:, None] if axis == 2 else place
         last = (inside * place).amax(axis, keepdim=True)
         first = (side + 1) - (inside * ((side + 1) - place)).amax(axis, keepdim=True)
-        between.append((torch.minimum(place - first, last - place) + 1).clamp(0.0, 1.0))  # whole numbers
+        between.append((torch.minimum(place - first, last - place) + 1).clamp(0.0, 1.0))  # integers: 0 or 1
     return between[0] * between[1]
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Area, centre, semi axes and angle of the ellipse with the same moments (`ops.fit_ellipse`), px."""
-    # About the middle of the frame, in cells, where float32 holds their squares.
+    """Compute area, centre, semi-axes (px) and angle (rad) of the ellipse with the same moments.
+
+    The definitions are those of `ops.contact.ellipse.fit_ellipse`.
+    """
+    # Moments about the centre of the frame, in cells, so that float32 represents the squares.
     powers = []
     middles = []
     for count in coverage.shape[-2:]:
@@ -204,7 +208,7 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     mean = torch.cat((moments[:, 0, 1:2], moments[:, 1, :1]), dim=1)
     square = torch.cat((moments[:, 0, 2:], moments[:, 2, :1]), dim=1) - mean * mean
     mixed = moments[:, 1, 1:2] - mean[:, :1] * mean[:, 1:]
-    # The places within a cell vary themselves, by (cell^2 - 1) / 12 px^2 if they are pixel centres.
+    # The pixel centres within a cell have a variance of (cell^2 - 1) / 12 px^2.
     variance = square * cell**2 + (cell**2 - 1) / 12
     middle, half = variance.mean(1, keepdim=True), (square[:, :1] - square[:, 1:]) * (cell**2 / 2)
     mixed = mixed * cell**2

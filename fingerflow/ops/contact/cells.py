@@ -1,6 +1,6 @@
-"""Pictures on cells of some pixels: means over them, and values read between them.
+"""Images on square cells: means over cells, and interpolation between cells.
 
-Of cells of c px, (row i, column j) stands for the place (c j + (c - 1) / 2, c i + (c - 1) / 2) px, its middle.
+Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
 """
 
 from collections.abc import Sequence
@@ -13,22 +13,22 @@ from fingerflow.ops.tensors import bytes_of
 
 
 def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
-    """Means (B, 1, h, w) of cells of `cell` x `cell` px of an image (B, 1, H, W), zeros beyond it."""
+    """Compute the means (B, 1, h, w) over cells of `cell` x `cell` px of an image (B, 1, H, W), padded with zeros."""
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
-    # Of a mask four lines are added as bytes: a sum of floats takes five times as long.
+    # The lines of a mask are added as bytes: a sum of floats takes five times as long.
     values = bytes_of(image) if image.dtype == torch.bool else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
     lines = values.unflatten(2, (-1, cell))
-    # Down first, in whole lines. The runtimes of ONNX reduce; torch adds slices faster than it reduces short axes.
+    # Columns first, by adding whole lines. Torch adds slices faster than it reduces a short axis; ONNX runtimes reduce.
     down = sum_of(lines.unbind(3))
     columns = down.to(precision).unflatten(3, (-1, cell))
     return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
 
 
 def sum_of(parts: Sequence[Tensor]) -> Tensor:
-    """Sum of tensors of one shape and type, in pairs."""
+    """Return the sum of tensors of one shape and dtype, by pairwise summation."""
     while len(parts) > 1:
         parts = [first + second for first, second in zip(parts[::2], parts[1::2], strict=False)] + list(
             parts[len(parts) // 2 * 2 :]
@@ -37,7 +37,7 @@ def sum_of(parts: Sequence[Tensor]) -> Tensor:
 
 
 def widest(cells: Tensor) -> Tensor:
-    """The largest of the 3 x 3 cells around each of non-negative cells (B, 1, h, w), zeros beyond."""
+    """Return the maximum of the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, zeros beyond."""
     down = functional.pad(cells, (0, 0, 1, 1))
     down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
     along = functional.pad(down, (1, 1))
@@ -45,14 +45,14 @@ def widest(cells: Tensor) -> Tensor:
 
 
 def enlarge(cells: Tensor, times: int) -> Tensor:
-    """Every cell of (B, 1, h, w) as a square of `times` x `times`."""
+    """Repeat every cell of (B, 1, h, w) as a square of `times` x `times` cells."""
     return functional.interpolate(cells, scale_factor=times, mode="nearest")
 
 
 def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Bilinear values (B, N) of cells (B, 1, h, w) at places x, y (B, N), finite, in cells.
+    """Interpolate cells (B, 1, h, w) bilinearly at finite positions x, y (B, N), in cells; returns (B, N).
 
-    The nearest cell's value beyond the middle of the outermost.
+    Positions beyond the centres of the outermost cells take the value at the nearest position between centres.
     """
     height, width = cells.shape[-2:]
     x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
@@ -68,17 +68,18 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Whether the regions of `ops.contact.apparent_contact` cover places, to a fraction of a pixel.
+    """Test whether positions lie inside the regions of `ops.contact.apparent_contact`, to a fraction of a pixel.
 
     Args:
-        density_margin: (B, 1, h, w) of `Region`, cells of `cell` px.
+        density_margin: (B, 1, h, w) of `ApparentRegion`, on cells of `cell` px.
         x, y: (B, N) px.
+        cell: side of a cell, px.
 
     Returns:
         (B, N) bool; False beyond the cells and where x or y is not finite.
     """
     height, width = density_margin.shape[-2:]
-    # Beyond the frame lies nothing: what is not finite is taken there.
+    # Positions that are not finite are moved outside the frame, where no region lies.
     known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
     column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
     inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
@@ -86,9 +87,9 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of.
+    """Evaluate `covered` at every pixel of the frames that the cells were computed from: (B, 1, height, width) bool.
 
-    Of a lattice of places all in a column lie between the same cells: along the rows first, then down.
+    All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
     (left, right, across), (top, bottom, along) = (
         _between(density_margin, pixels, cells, cell)
@@ -100,8 +101,8 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """For each of a line of pixels the cells (pixels,) that it lies between, as in `at_places`, and how far from the
-    first.
+    """Return the indices of the two cells around each pixel of a line, as in `at_places`, and the distance from the
+    first in cells; each (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

@@ -1,8 +1,8 @@
-"""Connected parts of masks: filled holes and the largest part, by joining the runs of neighbouring rows.
+"""Connected components of masks: hole filling and the largest component, from horizontal runs of pixels.
 
-A mask of half a million pixels has only some ten thousand horizontal runs. They are the nodes of a graph whose edges
-are the places where runs of neighbouring rows touch. Its connected parts are found by hooking and pointer jumping
-(after Shiloach & Vishkin 1982): paths halve in each round, so a spiral takes a few rounds, not one for each turn.
+A mask of half a million pixels has only about ten thousand horizontal runs. They are the nodes of a graph; an edge
+joins two runs of neighbouring rows that touch. The components of the graph are found by hooking and pointer jumping
+(after Shiloach & Vishkin 1982). Each round halves the paths, so a spiral takes a few rounds, not one for each turn.
 """
 
 from typing import NamedTuple
@@ -15,13 +15,13 @@ from fingerflow.kernels import tensors as kernels
 
 
 def fill_holes(mask: Tensor) -> Tensor:
-    """The mask with all background that no 4-connected path joins to the border of the frame.
+    """Fill the holes of masks: background that no 4-connected path joins to the border of the frame.
 
     Args:
         mask: (B, 1, H, W) bool.
 
     Returns:
-        (B, 1, H, W) bool. Background at the border of the frame is never a hole: a ring that the frame cuts stays open.
+        (B, 1, H, W) bool. Background at the border of the frame is never a hole: a ring cut by the frame stays open.
 
     Raises:
         TypeError: `mask` is not bool.
@@ -43,13 +43,13 @@ def fill_holes(mask: Tensor) -> Tensor:
 
 
 def largest_component(mask: Tensor) -> Tensor:
-    """The largest 8-connected part of each mask; of equal ones the first in reading order.
+    """Return the largest 8-connected component of each mask; of equally large ones the first in reading order.
 
     Args:
         mask: (B, 1, H, W) bool.
 
     Returns:
-        (B, 1, H, W) bool, empty where the mask is.
+        (B, 1, H, W) bool; empty for an empty mask.
 
     Raises:
         TypeError: `mask` is not bool.
@@ -64,7 +64,7 @@ def largest_component(mask: Tensor) -> Tensor:
     part = _connected_part(runs, mask.shape, diagonal=True)
     count = len(part)
     area = torch.zeros_like(part).index_add(0, part, runs.last - runs.first + 1)
-    # One number that orders by area, then by place: a part has the number of its first run.
+    # One integer sorts by area, then by reading order: a component is labelled by its first run.
     score = area * count + (count - 1 - torch.arange(count, device=mask.device))
     frame = runs.first // (mask.shape[-2] * mask.shape[-1])
     best = score.new_zeros(len(mask)).scatter_reduce(0, frame, score, "amax")
@@ -72,7 +72,7 @@ def largest_component(mask: Tensor) -> Tensor:
 
 
 class _Runs(NamedTuple):
-    """Flat index of the first and the last pixel of each horizontal run of a mask, in reading order."""
+    """Flat indices of the first and the last pixel of each horizontal run of a mask, in reading order."""
 
     first: Tensor
     last: Tensor
@@ -86,7 +86,7 @@ def _find_runs(mask: Tensor) -> _Runs:
 
 
 def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
-    """The mask of some of the runs."""
+    """Return the mask, shaped as `like`, of the chosen runs."""
     change = torch.zeros(like.numel() + 1, dtype=torch.int8, device=like.device)
     change[runs.first[chosen]] = 1
     change[runs.last[chosen] + 1] -= 1  # a run may begin where, in the row above, another one ended
@@ -94,7 +94,7 @@ def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
 
 
 def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
-    """For each run, the first run of the connected part it belongs to."""
+    """Return, for each run, the first run of its connected component."""
     height, width = shape[-2:]
     # The runs of the next row that touch run i are neighbours in the list: from the first that does not end before
     # run i begins to the last that does not begin after it ends.
@@ -114,7 +114,7 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """The smallest node of the connected part of each node, with edges from `upper` to `lower`."""
+    """Return, for each node, the smallest node of its connected component; edges join `upper` and `lower`."""
     root = node
     while True:
         first, second = root[upper], root[lower]

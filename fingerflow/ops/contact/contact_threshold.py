@@ -1,4 +1,4 @@
-"""The relative intensity loss half-way between ridges in contact and the skin beside them, measured in a frame."""
+"""Contact threshold: relative intensity loss half-way between ridges in contact and the valleys between them."""
 
 from functools import partial
 
@@ -16,7 +16,8 @@ from fingerflow.ops.filters.quantile import median_of_counts
 from fingerflow.ops.filters.strided_median import median_at
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
-# Contact takes at least a twentieth of the light; two halves of noise lie closer together.
+# Contact reduces the light by at least a twentieth. The two classes must lie apart by _NOISE_RATIO deviations of the
+# lower one: the halves of a noise distribution lie closer together.
 _LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _ROUNDS = 2
@@ -33,23 +34,23 @@ def contact_threshold(
     radius: int = 8,
     stride_px: int = 1,
 ) -> Tensor:
-    """Relative intensity loss half-way between the medians of ridges and of valleys inside the gross region.
+    """Return the relative intensity loss half-way between the medians of ridges and valleys in the apparent contact.
 
-    Otsu's threshold of the median-filtered intensity loss (in levels of one byte) splits the pixels and so finds the
-    gross region (`apparent_contact`). Most of the rest is empty glass, brighter than the skin between ridges, which
-    pulls Otsu's threshold down and the area up by 2 %. Half-way between the medians of the two classes inside the
-    region is where the blurred edge of a ridge has its true place. From there once more: it no longer depends on how
-    much glass is seen. Over the shipped press it lies within 0.0015 from 2 mm² of contact on.
+    Otsu's threshold of the median-filtered intensity loss, in 256 levels, first segments the apparent contact
+    (`apparent_contact`). Most pixels outside are empty glass, which is brighter than the skin between ridges; it lowers
+    Otsu's threshold and enlarges the area by 2 %. The value half-way between the medians of the two classes inside the
+    region is the true position of a ridge's blurred edge. A second round with this value makes the result independent
+    of the visible area of glass. On the shipped press it stays within 0.0015 from 2 mm² of contact on.
 
     Args:
         frames, light, black, median_px: as for `real_contact_mask`.
-        gain: (B,) of `light_gain`, NaN or None for 1.
-        radius: of the gross region.
-        stride_px: of how many pixels, across and down, one is counted; 1 for the exact medians. With 8 the threshold
-            moves by some 0.002 from 5 mm² of contact on.
+        gain: (B,) illumination gain of `light_gain`; NaN or None counts as 1.
+        radius: px, of `apparent_contact`.
+        stride_px: sampling step in x and y of the pixels that are counted; 1 gives the exact medians. With 8 the
+            threshold changes by about 0.002 from 5 mm² of contact on.
 
     Returns:
-        (B,) of the type of `light`, within 0.05 to 1; NaN where no two classes are apart, without contact.
+        (B,) in the dtype of `light`, between 0.05 and 1. NaN without contact: where no two classes are separated.
     """
     kind = light.dtype
     if (
@@ -74,14 +75,14 @@ def _threshold(
     if frames.is_floating_point():
         lit = lit & (lost.abs() < torch.inf)
     levels = torch.where(lit, lost, -low * scale).clamp(0, _LEVELS - 1).round()
-    if not torch.compiler.is_exporting():  # no minimum of bytes on every provider
+    if not torch.compiler.is_exporting():  # some ONNX execution providers have no minimum of bytes
         levels = levels.to(torch.uint8)
     smooth = median_at(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
-        """Relative intensity loss of a level, had the lamp its brightness of the empty glass."""
+        """Return the relative intensity loss of a level, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
     classes = otsu_classes(_counts(smooth, counted).to(kind))
@@ -89,7 +90,7 @@ def _threshold(
     apart = (share(classes.upper) > _LEAST_INTENSITY_LOSS) & (classes.upper - classes.lower > least * scale)
     level = torch.where(apart, classes.threshold, torch.nan)
     for _ in range(_ROUNDS):
-        # A level is above a threshold where it is rounded above it.
+        # Levels are rounded, so the limit lies half a level above.
         limit = 1 - ((level + 0.5) / scale + low)
         density_margin = apparent_contact(
             real_contact_mask(frames, light, black, limit, median_px), radius, precision=kind
@@ -108,7 +109,7 @@ def _one_a_frame(frames: Tensor, light: Tensor, *others: object) -> Tensor:
 def compiled_threshold(
     frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
 ) -> Tensor:
-    """`contact_threshold` in one call of the compiled library."""
+    """Compute `contact_threshold` in one call of the compiled library."""
     arrays = (None if one is None else one.detach().numpy() for one in (frames, light, black, gain))
     sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
     return torch.from_numpy(contact_frames.contact_threshold(*arrays, **sizes))  # type: ignore[arg-type]
@@ -119,17 +120,20 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 
 
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
-    """The level (B,) half-way between the medians of counts (B, 256) above and below a level; NaN without any above."""
+    """Return the level (B,) half-way between the medians of counts (B, 256) above and up to a level.
+
+    It is NaN where no count lies above. Without counts up to the level, the lower class replaces their median.
+    """
     place = torch.arange(_LEVELS, dtype=counts.dtype, device=counts.device)
     above = (place > level[:, None]).to(counts.dtype)
     ridges, valleys = median_of_counts(counts * above), median_of_counts(counts * (1 - above))
-    # Contact without gaps has no valleys: the empty glass stands for them.
+    # Contact without gaps has no valleys: use the lower class of the frame (empty glass) instead.
     valleys = torch.where(valleys.abs() < torch.inf, valleys, classes.lower)
     return (ridges + valleys) / 2
 
 
 def _at_pixels(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
-    """Cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of frames of this shape."""
-    for axis, side in ((3, shape[1]), (2, shape[0])):  # single numbers of few lines, then whole lines
+    """Return the cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of frames of this shape."""
+    for axis, side in ((3, shape[1]), (2, shape[0])):  # columns while there are few lines, then whole lines
         cells = cells.index_select(axis, torch.arange(0, side, step, device=cells.device) // cell)
     return cells

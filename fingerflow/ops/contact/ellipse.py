@@ -1,4 +1,4 @@
-"""The ellipse with the same first and second moments as a mask: the size and tilt of a contact."""
+"""Ellipse with the same first and second moments as a mask: position, size and orientation of a contact."""
 
 from typing import NamedTuple
 
@@ -9,9 +9,13 @@ from fingerflow.kernels import tensors as kernels
 
 
 class FittedEllipse(NamedTuple):
-    """`center` (B, 2) as (x, y) px; `semi_axes` (B, 2) px, major first; `angle` (B,) rad; `area_px` (B,); float64.
+    """Ellipses of B masks, float64.
 
-    `angle` is that of the major axis, from the x axis towards y (down the frame), in (-pi/2, pi/2]; 0 for a circle.
+    Attributes:
+        center: (B, 2) px as (x, y).
+        semi_axes: (B, 2) px, major first.
+        angle: (B,) rad of the major axis, from the x axis towards y (down the frame), in (-pi/2, pi/2]; 0 for a circle.
+        area_px: (B,) px, area of the mask.
     """
 
     center: Tensor
@@ -21,11 +25,11 @@ class FittedEllipse(NamedTuple):
 
 
 def fit_ellipse(mask: Tensor) -> FittedEllipse:
-    """Fit by moments: a uniformly filled ellipse has the variance (semi axis)^2 / 4 along each axis.
+    """Fit ellipses to masks by moments: a filled ellipse has the variance (semi-axis)^2 / 4 along each axis.
 
-    A pixel belongs to a mask when its centre does, so the pixel centres are a regular sample of the area and their
-    variance needs no correction. (Were each pixel a filled unit square, 1/12 px^2 would be added, and the semi
-    axes a come out too long by 1/(6 a^2): 0.17 % at a = 10 px.) One pixel has semi axes of 0, a line a minor one of 0.
+    A pixel belongs to a mask when its centre does, so the pixel centres sample the area regularly and their variance
+    needs no correction. (Treating each pixel as a filled square would add 1/12 px^2 and lengthen a semi-axis a by the
+    fraction 1/(6 a^2): 0.17 % at a = 10 px.) A single pixel has semi-axes of 0, a line has a minor semi-axis of 0.
 
     Args:
         mask: (B, 1, H, W) bool.
@@ -44,7 +48,7 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area
-    # About the pixel next to the centre, in whole numbers: a small mask far from the origin loses no digits.
+    # Moments about the pixel nearest to the centre, in integers: a small mask far from the origin loses no digits.
     near_x, near_y = (center.nan_to_num(0.0).round().long() for center in (center_x, center_y))
     dx, dy = (x - number * near_x) / area, (y - number * near_y) / area
     xx = (xx - near_x * (2 * x - number * near_x)) / area - dx * dx
@@ -58,7 +62,7 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
 
 
 def mask_moments(mask: Tensor) -> Tensor:
-    """Exact sums over the pixels of a mask: the area and the moments of first and second order.
+    """Compute exact sums over the pixels of masks: the area and the moments of first and second order.
 
     Args:
         mask: (B, 1, H, W) bool.

@@ -1,4 +1,4 @@
-"""Change of light between two pictures of a surface, beside what is printed on it."""
+"""Change of light between two images of a surface, excluding printed markers."""
 
 import torch
 from torch import Tensor
@@ -6,25 +6,25 @@ from torch.nn import functional
 
 from fingerflow.ops.markers.markers import blur
 
-_LEAST_SHARE = 0.1  # of the pixels around a cell that must show the surface
+_LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the surface
 
 
 def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale: float) -> Tensor:
-    """Relative change of light, (B, 1, h, w) on cells: log of the quotient of two pictures.
+    """Compute the relative change of light on cells, (B, 1, h, w): the logarithm of the quotient of two images.
 
-    The mean over the pixels that show the surface in both pictures, weighted by a Gaussian (normalised convolution,
-    Knutsson & Westin 1993), less its median over the cells: that is the lamp's or the camera's gain. Where more than
-    half of the view changes, the median is of what changes.
+    The logarithm is averaged with Gaussian weights over the pixels that show the surface in both images (normalised
+    convolution, Knutsson & Westin 1993). The median over the cells, the gain of lamp or camera, is subtracted. Where
+    more than half of the view changes, that median contains the change itself.
 
     Args:
         frames: (B, 1, H, W), 8 to 16 bit or floating.
         rest: (1, 1, H, W), the surface at rest.
-        hidden: (B, 1, H, W) bool, where something printed covers it in either.
-        cell: side of a cell, px; a last one that the border cuts is left out.
+        hidden: (B, 1, H, W) bool, where a printed marker covers the surface in either image.
+        cell: side of a cell, px; cells cut by the border are left out.
         scale: standard deviation of the Gaussian, px.
 
     Returns:
-        float32; NaN where less than a tenth of the surface shows.
+        float32; NaN where less than a tenth of the surface is visible.
     """
     if frames.ndim != 4 or rest.shape[-2:] != frames.shape[-2:] or hidden.shape != frames.shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""How bright the lamp is in a frame, from the empty glass that is still seen in it."""
+"""Illumination gain of a frame relative to the empty glass, from the glass that is still visible in it."""
 
 import torch
 from torch import Tensor
@@ -7,31 +7,35 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import block_of
 
 _STEP = 4  # px between the lines that are read
-_MOST, _LEAST = 1.4, 0.7  # gains beyond which nothing tells light that has changed from glass that is covered
-_LIT = 0.25  # least light of a block, of that of the brightest
-_ROUGH = 0.15  # deviation of quotients within a block: of noise it is less, of ridges more
-_TOP = 0.03  # share of the blocks that are glass at least
-_WIDTHS = (0.04, 0.02, 0.01, 0.01)  # to both sides of the gain, of windows whose means lead to it
-_NARROW, _BESIDE = 0.02, 0.06  # glass is all within the first; skin has as much between the two below
+_MOST, _LEAST = 1.4, 0.7  # limits of the gain: beyond them changed light cannot be told from covered glass
+_LIT = 0.25  # least light of a block relative to the brightest block
+_ROUGH = 0.15  # limit of the deviation of quotients within a block: noise stays below it, ridges exceed it
+_TOP = 0.03  # least share of the blocks that show glass
+_WIDTHS = (0.04, 0.02, 0.01, 0.01)  # relative half widths of the windows of the mean shift
+# Relative to the gain, blocks of glass lie within _NARROW. If the mode is skin, about as many lie below it, between
+# _NARROW and _BESIDE.
+_NARROW, _BESIDE = 0.02, 0.06
 
 
 def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
-    """Light of the frame over light of the empty glass where no skin touches; NaN where no glass is seen.
+    """Return the ratio of the light in the frame to that of the empty glass where no skin touches; NaN without glass.
 
-    Blocks are so wide that skin is darker than glass in each of them, and rough: ridges beside what lies between them.
-    The brightest of the smooth blocks lead to the uppermost mode of their quotients. It is glass if it is narrow. One
-    gain a frame: of a lamp, a shutter or a gain of the camera, not of a shadow.
+    A block is wide enough to hold a ridge and the skin beside it. In every block skin is therefore darker than glass
+    and has a larger variance. A mean shift that starts from the brightest of the smooth blocks finds the uppermost mode
+    of their quotients. That mode is glass if it is narrow. One gain per frame describes a change of the lamp, the
+    exposure or the camera gain, but not a shadow.
 
-    Every fourth line is read: 0.13 % of noise for a block of 16 px where a pixel has 1 %, and some hundred blocks.
+    Every fourth line is read. With 1 % of noise per pixel a block of 16 px has 0.13 %, and a frame has hundreds of
+    blocks.
 
     Args:
-        frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts; what is not finite does not count.
-        light, black: (1 or B, 1, H, W) of `ops.glass_light`.
-        radius: px, half the distance of ridges, or a little more.
+        frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts; non-finite pixels do not count.
+        light, black: (1 or B, 1, H, W) of `ops.filters.illumination.glass_light`.
+        radius: px, half the distance between ridges, or slightly more.
 
     Returns:
-        (B,) of the type of `light`, within 0.7 to 1.4, else NaN: light that has changed by more cannot be told from a
-        frame full of contact.
+        (B,) in the dtype of `light`, between 0.7 and 1.4, else NaN: a larger change of light cannot be distinguished
+        from a frame full of contact.
     """
     kind = light.dtype
     block = block_of(radius)
@@ -53,7 +57,9 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """(B, 2, N) sums over blocks, of every fourth line (B, 1, h, W) and of its squares."""
+    """Return the sums (B, 2, N) over blocks of the lines read (B, 1, h, W), every fourth of a frame, and of their
+    squares.
+    """
     result: Tensor = torch.cat([_sums(one, block) for one in (lines, lines * lines)], dim=1)
     return result
 
@@ -74,7 +80,7 @@ def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
     variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient
     quotient = torch.where(variance < _ROUGH**2, quotient, 0.0)
     number = lit.to(quotient.dtype).sum(1, keepdim=True)
-    # The third part of the hundred blocks that are brightest: reflections stand above it.
+    # Start from the least of the brightest 3 % of the blocks: reflections lie above it.
     kept = max(1, round(_TOP * quotient.shape[1]))
     gain = quotient.topk(kept, dim=1).values[:, -1:]
     for width in _WIDTHS:

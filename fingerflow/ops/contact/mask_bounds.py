@@ -1,4 +1,4 @@
-"""The part of pictures that a mask covers."""
+"""Bounding rectangle of masks."""
 
 from torch import Tensor
 
@@ -8,10 +8,11 @@ Range = tuple[int, int]
 
 
 def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
-    """First and last + 1 row, then column, of all that a mask (B, 1, H, W) covers, with a margin in px.
+    """Return the range [first, last) of rows, then of columns, that the masks (B, 1, H, W) cover, plus a margin in px.
 
-    Those of the whole pictures where that is nothing, not wider than two margins, or fewer than `least` pixels; and
-    where no shape may depend on data: compiled, traced, exported, or on a device that would be waited for.
+    Return the ranges of the whole image if the masks are empty, or if the rectangle has fewer than `least` pixels or a
+    side of at most two margins. So too where shapes must not depend on data: while torch compiles, traces or exports,
+    and on a device that the host would have to wait for.
     """
     height, width = mask.shape[-2:]
     whole = (0, height), (0, width)

@@ -1,4 +1,4 @@
-"""Otsu's threshold (1979) from a histogram, and how well it separates two classes at all."""
+"""Otsu's threshold (1979) from a histogram, and the separability of the two classes."""
 
 import functools
 from typing import NamedTuple
@@ -13,8 +13,12 @@ _MOST_COMPILED_BINS = 1 << 16
 
 
 class Classes(NamedTuple):
-    """Otsu's threshold (B,) in levels, NaN where there is one level only; the means of the levels up to it and above
-    it, and the deviation of the former, of which the threshold says whether they mean anything.
+    """Otsu's threshold and the two classes that it separates, (B,) each, in levels.
+
+    Attributes:
+        threshold: NaN where only one level occurs; the other attributes then have no meaning.
+        lower, upper: means of the levels up to the threshold and above it.
+        deviation: standard deviation of the levels up to the threshold.
     """
 
     threshold: Tensor
@@ -24,11 +28,11 @@ class Classes(NamedTuple):
 
 
 class ClassSeparation(NamedTuple):
-    """The pixels at or below a threshold (index 0) and above it (index 1), float64.
+    """Statistics of the pixels up to a threshold (index 0) and above it (index 1), float64.
 
-    `fractions`, `means`, `deviations` are (B, 2); `separability` (B,) is Otsu's eta, the share of the variance that
-    lies between the two means: 1 for two single values, 2/pi for one Gaussian cut in the middle, 3/4 for one uniform
-    range. A frame well above 2/pi has two classes; one near it is noise, and nothing is in contact.
+    `fractions`, `means`, `deviations` are (B, 2). `separability` (B,) is Otsu's eta, the share of the variance that
+    lies between the two means: 1 for two single values, 2/pi for a Gaussian cut in the middle, 3/4 for a uniform
+    distribution. A value well above 2/pi indicates two classes; one near 2/pi indicates noise without contact.
     """
 
     fractions: Tensor
@@ -40,10 +44,10 @@ class ClassSeparation(NamedTuple):
 def histogram(
     frames: Tensor, mask: Tensor | None = None, bins: int = 256, value_range: tuple[float, float] | None = None
 ) -> Tensor:
-    """Exact counts of pixel values, one histogram a frame.
+    """Count pixel values exactly, one histogram per frame.
 
     Bins are open below and closed above, (low + k w, low + (k + 1) w], so that `frames > edge` splits a frame exactly
-    where the histogram does. The default for uint8, (-1, 255), gives each grey level its own bin.
+    as the histogram does. The default for uint8, (-1, 255), gives each grey level its own bin.
 
     Args:
         frames: (B, 1, H, W), integers or floating.
@@ -66,8 +70,8 @@ def histogram(
     index = _bin_index(frames, bins, low, high)
     if mask is not None:
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
-    # Not by `bincount`, for which a host waits to know the largest; nor by products of two digits of every pixel, for
-    # which ONNX Runtime takes ten times as long.
+    # Not `bincount`: the host would wait for the device to learn the largest index. Not products of one-hot digits of
+    # every pixel: they take ONNX Runtime ten times as long.
     counts = torch.zeros(len(frames), bins + 1, dtype=torch.int32, device=frames.device)
     return counts.scatter_add(1, index.long(), torch.ones_like(index))[:, :bins].long()
 
@@ -75,10 +79,10 @@ def histogram(
 def otsu_threshold(
     frames: Tensor, mask: Tensor | None = None, value_range: tuple[float, float] | None = None
 ) -> Tensor:
-    """The threshold that separates a frame's pixels into two classes with the largest variance between their means.
+    """Return the threshold that splits a frame's pixels into the two classes with the largest variance between them.
 
-    256 fixed bins as in OpenCV, so that `frames > threshold` is OpenCV's THRESH_OTSU for uint8. Between two classes
-    with empty bins between them every threshold is equally good: the lowest is given.
+    It uses 256 fixed bins as OpenCV does, so that `frames > threshold` is OpenCV's THRESH_OTSU for uint8. If empty bins
+    separate two classes, every threshold in them is equally good; the lowest is returned.
 
     Args:
         frames, mask: see `histogram`.
@@ -109,11 +113,11 @@ def otsu_threshold(
 
 
 def otsu_classes(counts: Tensor) -> Classes:
-    """Otsu's two classes (1979, eq. 18) of floating counts (B, 256) of levels 0 to 255, in their precision.
+    """Compute Otsu's two classes (1979, eq. 18) of floating counts (B, 256) of levels 0 to 255, in the counts' dtype.
 
-    Of thresholds that are equally good the lowest is taken.
+    Of equally good thresholds the lowest is taken.
     """
-    centre = (_BINS - 1) / 2  # moments about the middle level, so that float32 holds them
+    centre = (_BINS - 1) / 2  # moments about the middle level, so that float32 represents them
     level = torch.arange(_BINS, dtype=counts.dtype, device=counts.device) - centre
     share = counts / counts.sum(1, keepdim=True).clamp_min(1)
     below, moment = share.cumsum(1), (share * level).cumsum(1)
@@ -133,7 +137,7 @@ def otsu_classes(counts: Tensor) -> Classes:
 
 
 def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = None) -> ClassSeparation:
-    """Means, deviations and Otsu's separability of the two classes that a threshold makes.
+    """Compute means, deviations and Otsu's separability of the two classes on either side of a threshold.
 
     Args:
         frames: (B, 1, H, W), integers or floating; NaN and infinities do not count.
@@ -157,7 +161,7 @@ def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = No
     limit = threshold.double()[:, None]
     above = values > limit
     member = torch.stack([counted & ~above, counted & above], 1).double()
-    # Moments about a value between the classes, so that their squares lose no digits.
+    # Moments about the threshold, which lies between the classes, so that their squares lose no digits.
     centre = torch.nan_to_num(limit)
     from_centre = torch.where(counted, values - centre, 0.0)
     powers = torch.stack([torch.ones_like(from_centre), from_centre, from_centre.square()], 1)
@@ -194,13 +198,13 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
 
 @functools.lru_cache(8)
 def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
-    """The bin of each level of an unsigned dtype, uint16."""
+    """Return the bin of each level of an unsigned integer dtype, as uint16."""
     levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32, device="cpu")
     return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Bin of every pixel (B, H W) int32; `bins` where it does not count."""
+    """Return the bin of every pixel, (B, H W) int32; `bins` for a pixel that does not count."""
     values = frames.flatten(1)
     if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
         if frames.dtype == torch.uint8 and low == -1 and bins == 256:

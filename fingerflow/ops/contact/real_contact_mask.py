@@ -1,4 +1,4 @@
-"""Pixels that hold less light than a share of what the empty glass gives them, the majority in every window."""
+"""Real contact mask: majority filter over the pixels darker than a given share of the empty glass's light."""
 
 from functools import partial
 
@@ -12,20 +12,20 @@ from fingerflow.ops.tensors import bytes_of
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
-    """Where most of a window lies below black + limit * light, and the pixel itself is lit.
+    """Return True where most pixels of a window lie below black + limit light and the pixel itself is lit.
 
-    The median of an odd number of pixels lies below a limit exactly where most of them do: so this is the median of the
-    intensity lost compared with the threshold 1 - limit, and no quotient is formed.
+    The median of an odd number of pixels lies below a limit exactly where most of them do. The result therefore equals
+    the comparison of the median-filtered intensity loss with the threshold 1 - limit, but no quotient is formed.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts.
-        light, black: (1 or B, 1, H, W) floating, of `ops.glass_light`: counts that light gives, 0 where the glass is
-            not lit, and counts without it.
-        limit: (B,) share of the light; NaN is undercut nowhere.
-        median_px: odd side of the windows, 1 for none. Beyond the frame the nearest pixel counts.
+        light, black: (1 or B, 1, H, W) floating, of `ops.filters.illumination.glass_light`: counts due to the lamp (0
+            where the glass is not lit) and counts without light.
+        limit: (B,) share of the light, clamped to 0 to 1. NaN counts as 0: only pixels darker than `black` lie below.
+        median_px: odd side of the windows; 1 for no filter. Beyond the frame the nearest pixel counts.
 
     Returns:
-        (B, 1, H, W) bool. A pixel that is NaN, or not lit, counts as not below.
+        (B, 1, H, W) bool. A pixel that is NaN or not lit counts as not below.
 
     Raises:
         ValueError: shapes that do not fit, or an even side.
@@ -39,7 +39,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         raise ValueError(f"a median window of {median_px} x {median_px} has no centre pixel: use an odd size")
     if limit.shape != frames.shape[:1]:
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
-    # No more than all of the light: what is saturated touches nowhere.
+    # At most the full light, so that a saturated pixel is never in contact.
     share = torch.where(limit == limit, limit, 0.0).to(light.dtype).clamp(0, 1)
     if (
         frames.dtype in kernels.FRAME_KINDS
@@ -56,8 +56,8 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
 def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, lit: Tensor, share: Tensor) -> Tensor:
     counts = share.reshape(-1, 1, 1, 1) * light + black
     if frames.dtype == torch.uint8 and not torch.compiler.is_exporting():
-        # A whole number lies below a limit where it lies below the next whole number: bytes compare 20 times as fast.
-        # By int16: straight to bytes takes three times as long.
+        # An integer lies below a limit exactly where it lies below the limit rounded up; bytes compare 20 times as
+        # fast. The cast goes through int16: a direct one to bytes takes three times as long.
         below = frames < counts.ceil_().clamp_(0, 255).to(torch.int16).to(torch.uint8)
     else:
         below = frames.to(counts.dtype) < counts
@@ -65,7 +65,10 @@ def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, lit: Ten
 
 
 def majority(holds: Tensor, size: int) -> Tensor:
-    """Where more than half of the `size` x `size` window around a pixel holds: (B, 1, H, W) bool of bool."""
+    """Return True where more than half of the `size` x `size` window around a pixel is True; (B, 1, H, W) bool of bool.
+
+    Beyond the frame the nearest pixel counts.
+    """
     half = size // 2
     bits = bytes_of(holds)
     for axis in (2, 3):

@@ -1,1 +1,1 @@
-"""Fields of tracked points: gradients, strain, medians over an area, and their deviations."""
+"""Fields of tracked points: gradients, strain, medians over an area, and their standard deviations."""

@@ -1,4 +1,4 @@
-"""Medians of divergence, curl and strain over ellipses of the deformed picture, from scattered points."""
+"""Medians of divergence, curl and strain over ellipses of the deformed image, from scattered points."""
 
 import math
 from functools import partial
@@ -17,25 +17,25 @@ from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import finite, sum_rows
 
-_FAR = 1e3  # radii, from all positions
+_FAR = 1e3  # radii: coordinate of excluded points, far from all positions
 _TINY = 1e-30
 _FIELDS = 5
-_FRAMES = 8  # of which the points that are known are about the same
-_PAIRS = 1 << 20  # of points and positions, of the frames that are taken at once
+_FRAMES = 8  # frames that have about the same known points
+_PAIRS = 1 << 20  # pairs of a point and a position in the frames computed at once
 
 _LATTICE = torch.from_numpy(limits.lattice())
 
 
 class AreaMedians(NamedTuple):
-    """Over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
+    """Medians over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
 
     median: Tensor  # (B, 5)
-    std: Tensor | None  # (B, 5), its standard deviation from that of the points
-    known: Tensor  # (B,), share of the ellipse in which they are known; NaN where there is no ellipse
+    std: Tensor | None  # (B, 5), standard deviation due to the points' covariance
+    known: Tensor  # (B,), share of the ellipse where the fields are known; NaN where there is no ellipse
 
 
 class Apart(NamedTuple):
-    """Those of N points in B frames whose displacement is no part of the others', with fields of their own."""
+    """Points, of N in B frames, that are left out of the fits and have fields of their own."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -54,33 +54,36 @@ def area_medians(
     covariance: Tensor | None = None,
     apart: Apart | None = None,
 ) -> AreaMedians:
-    """Medians over the area of ellipses in the current picture, of fields in reference coordinates.
+    """Compute medians over ellipses of the current image, of fields in reference coordinates.
 
-    At 800 positions spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979) the gradient G of the displacement
-    by current coordinates is fitted as `local_gradients` does; by reference coordinates it is G (I - G)^-1 there.
-    The median is that of the current area. Over the points it is another one: they crowd where skin has texture; and
-    over reference positions too, as what spreads covers more of the area than before.
+    The gradient G of the displacement with respect to current coordinates is fitted as in `local_gradients` at 800
+    positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979). The gradient with respect to
+    reference coordinates is G (I - G)^-1. The median is thus weighted by current area. A median over the points would
+    differ, since they crowd where skin has texture. So would one over reference positions, since expanding skin covers
+    more of the area than before.
+
+    A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
+    satisfies the conditions of `local_gradients` and has points on all sides.
 
     Args:
         reference: (1 or B, N, 2) reference positions in a length unit L.
         displacement: (B, N, 2) in L; NaN where a point is not known.
         center: (B, 2) of the ellipses (x, y), L.
         semi_axes: (B, 2), L; medians are NaN where one is not positive.
-        angle: (B,) of the first semi axis, from x towards y, rad.
+        angle: (B,) of the first semi-axis, from x towards y, rad.
         gauge_length: diameter of the support of a fit, L.
         measure: of strain, as in `green_lagrange`.
-        covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points: asks for the
-            standard deviation. To first order the error of a median is the mean of the errors at the positions whose
-            field lies next to it, within what the field itself is uncertain by, and so a sum over the points. What is
-            not the points' is not in it: the error of the ellipse, and the smoothing over the gauge length.
-        apart: points that count from another state than the others. Positions that are nearer to one of them whose
-            fields are known than to any other point, and within a quarter of a gauge length, have its fields; the
-            errors of these are taken for one and the same.
+        covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points. If given,
+            standard deviations are computed. To first order the error of a median is the mean error at the positions
+            whose field equals it to within the uncertainty of a fit, and so a sum over the points. It does not include
+            the error of the ellipse or the smoothing over the gauge length.
+        apart: points whose displacement has another onset than that of the others, such as those advected into the
+            contact. They are left out of the fits. A position whose nearest point is one of them, with known fields,
+            has the fields of that point up to a distance of a quarter of a gauge length, and is unknown beyond. The
+            errors of these fields are taken as fully correlated.
 
-    NaN where the field is known over less than 0.85 of the ellipse: a fit needs what `local_gradients` asks for,
-    and points on all sides.
-
-    Raises TypeError or ValueError for dtypes, shapes or settings that do not belong together.
+    Raises:
+        TypeError, ValueError: a dtype, shape or setting is invalid.
     """
     _check(reference, displacement, center, semi_axes, angle, gauge_length, covariance)
     if measure not in STRAIN_MEASURES:
@@ -122,8 +125,9 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """`_medians`, of those points that are known in one of the frames where nothing is traced: while a contact grows
-    they are few.
+    """Compute `_medians` from the points that are known in at least one frame, unless a graph is traced.
+
+    These are few while a contact grows.
     """
     points: list[Tensor | None] = [reference, displacement, *others]
     count = displacement.shape[1]
@@ -148,7 +152,7 @@ def _medians(
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Return the portable form, of fixed cost: `entered` are the three of `Apart` or None."""
+    """Compute the medians in the portable form, of fixed cost; `entered` are the three fields of `Apart` or None."""
     reference, displacement = reference.mT, displacement.mT  # components before points from here on
     if covariance is not None:
         covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
@@ -167,7 +171,7 @@ def _medians(
     if apart is not None:
         usable = usable & ~apart.among[:, None]
         theirs = given & apart.among[:, None] & finite(sum_rows(apart.fields.mT))
-    # Of points that are neither none is the nearest.
+    # Points that are neither usable nor apart are moved away, so that none is the nearest.
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
     places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
@@ -191,7 +195,7 @@ def _medians(
     if apart is not None and theirs is not None:
         nearest = _of_nearest(apart, theirs, fit.weights)
         fields = torch.where(nearest.apart, nearest.fields, fields)
-        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
+        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # ONNX runtimes: no `where` of bool
     count = known.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
     median = _median(fields, known, count)
@@ -216,33 +220,37 @@ def _medians(
 
 
 def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """(B, 5) of the `count` (B, 1, 1) that are known, half of all at least; any number of fewer."""
+    """Return the medians (B, 5) of the `count` (B, 1, 1) known values; arbitrary where fewer than half are known."""
     if not torch.compiler.is_exporting():
         lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
         return (lower - upper) / 2
     falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
-    # The same place twice where the count is odd.
+    # Both ranks are the same where the count is odd.
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
     result: Tensor = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
     return result
 
 
 class _OfNearest(NamedTuple):
-    """What positions have of the point that is nearest to each, if it is one of `Apart`."""
+    """Fields of the point of `Apart` that is nearest to each position."""
 
-    apart: Tensor  # (B, 1, Q) bool
+    apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
     fields: Tensor  # (B, 5, Q)
     std: Tensor | None
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """By `Support.weights` (B, Q, N), which fall with distance; `theirs` (B, 1, N) is where fields are known."""
+    """Assign to each position the fields of its nearest point, if that is one of `Apart`.
+
+    `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
+    known.
+    """
     nearest = weights.amax(2, keepdim=True)
     own = apart.fields if apart.std is None else torch.cat((apart.fields, apart.std), dim=2)
     columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
     columns = torch.cat((columns, torch.where(theirs.mT, own, 0.0)), dim=2)
-    # A product with 0 and 1: runtimes gather far more slowly.
+    # A product with 0 and 1: gathering is far slower in ONNX runtimes.
     found = ((weights == nearest).to(weights.dtype) @ columns).mT
     count, of_them = found[:, :1], found[:, 1:2]
     fields = found[:, 2:] / of_them.clamp_min(1)
@@ -253,7 +261,7 @@ def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:
-    """Divergence, curl and strain (B, 5, Q) of (B, 4, Q)."""
+    """Return divergence, curl and strain (B, 5, Q) of gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     strain = green_lagrange(gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2), measure)
     return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
@@ -269,11 +277,11 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """How much (B, 5, Q) of the error at each position the median (B, 5, 1) has: (1 - z^2)^2, z the distance from it in
-    two standard deviations of a single fit.
+    """Return the weight (B, 5, Q) of the error at each position in the error of the median (B, 5, 1).
 
-    Those deviations are of the size of a fit among points spread evenly, of which each has the mean covariance:
-    sum w^2 d d' is 0.4 sum w d d' there.
+    It is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the median in units of two standard
+    deviations of a single fit. These are those of a fit among evenly spread points, each with the mean covariance, for
+    which sum w^2 d d' is 0.4 sum w d d'.
     """
     number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
     mean = _symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
@@ -287,15 +295,16 @@ def _beside(
 
 
 def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Derivatives (B, 5, 2, N) of the means of five fields, positions weighted by `share` (B, 5, Q), by displacements.
+    """Return derivatives (B, 5, 2, N) of the means of five fields with respect to the points' displacements.
 
-    Where a point is displaced by d, the gradient H at a position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w:
-    the point moves together with its displacement, so that the fit changes by (I - G) d, and I - G undoes I + H.
+    The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
+    position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so
+    the fit changes by (I - G) d, and I - G cancels I + H.
     """
     xx, xy, yx, yy = gradient.split(1, dim=1)
     onward = torch.cat((1 + xx, yx, xy, 1 + yy), dim=1).unflatten(1, (2, 2))  # (I + H)'
     around = _times(onward, _symmetric(fit.inverse / fit.mass))
-    # By the place of a point, and by that of the centroid.
+    # Derivatives with respect to the position of a point, and to that of the centroid.
     around = torch.cat((around, _times(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
     columns = (_times(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
@@ -304,7 +313,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """`field_sensitivity` (B, 5, 2, 2, Q) of (B, 4, Q)."""
+    """Return `field_sensitivity` (B, 5, 2, 2, Q) of gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
     result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
@@ -312,14 +321,17 @@ def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
 
 
 def _symmetric(three: Tensor) -> Tensor:
-    """(B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    """Return symmetric matrices (B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)
     result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
     return result
 
 
 def _times(left: Tensor, right: Tensor) -> Tensor:
-    """Products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q); batches of small ones take longer."""
+    """Return the products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
+
+    Written out, since batched products of small matrices take longer.
+    """
     first, second = left.split(1, dim=-2)
     upper, lower = right.split(1, dim=-3)
     result: Tensor = first * upper + second * lower
@@ -358,7 +370,7 @@ def _check(
 
 
 def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Of the type of the displacement, with deviations where they are asked for and without them else."""
+    """Check `apart`; return it in the dtype of `displacement`, with standard deviations only if `with_std`."""
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

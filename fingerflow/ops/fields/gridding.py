@@ -1,4 +1,4 @@
-"""A field known at scattered points, on the nodes of a regular grid."""
+"""Interpolation of a field from scattered points to the nodes of a regular grid."""
 
 import torch
 from torch import Tensor
@@ -6,7 +6,7 @@ from torch import Tensor
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.scattered import working_dtype
 
-# Of the gauge length. A node on the straight border of a uniform cloud has its weighted centroid at 0.145.
+# In gauge lengths. For a node on the straight border of a uniform cloud the offset is 0.145.
 _MAXIMUM_CENTROID_OFFSET = 0.15
 
 
@@ -18,17 +18,25 @@ def scattered_to_grid(
     gauge_length: float,
     mask: Tensor | None = None,
 ) -> Tensor:
-    """Values (B, N, C) at points (B, N, 2) to (B, C, H, W) on the nodes grid_x (W,), grid_y (H,), in one length unit.
+    """Return values (B, C, H, W) on grid nodes, from values (B, N, C) at points (B, N, 2).
 
-    Each node takes the height of the weighted linear fit of `local_gradients` with this gauge length (which see for the
-    smoothing): exact for linear fields. A node is NaN
-        outside `mask`, (B, 1, H, W) bool with a batch that may be 1, such as the gross contact area;
-        where the points around it do not determine a fit;
-        where they do not surround it: their weighted centroid is over 0.15 gauge lengths away, as it is on a straight
-            border of a uniform cloud and outside. The scatter of the points makes that limit uncertain by about a tenth
-            of the gauge length; sharp corners are cut.
+    Each node takes the value of the weighted linear fit of `local_gradients` with this gauge length (see there for the
+    smoothing). It is exact for linear fields. A node is NaN
+    - outside `mask`;
+    - where the points around it do not determine a fit;
+    - where the points do not surround it: their weighted centroid is more than 0.15 gauge lengths away. On a straight
+      border of a uniform cloud the distance is 0.145 gauge lengths; outside it is larger. The scatter of the points
+      makes this limit uncertain by about a tenth of the gauge length; sharp corners are cut.
 
-    Raises TypeError or ValueError for a wrong dtype, shape or gauge length.
+    Args:
+        points: (B, N, 2) positions (x, y) in a length unit L.
+        values: (B, N, C).
+        grid_x, grid_y: (W,) and (H,), coordinates of the nodes in L.
+        gauge_length: diameter of the support of a fit, L.
+        mask: (1 or B, 1, H, W) bool, such as the apparent contact area; None for everywhere.
+
+    Raises:
+        TypeError, ValueError: a dtype, shape or gauge length is invalid.
     """
     for name, axis in (("grid_x", grid_x), ("grid_y", grid_y)):
         if axis.dim() != 1:

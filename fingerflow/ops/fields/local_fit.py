@@ -1,4 +1,4 @@
-"""Value and gradient of a field known at scattered points, by a weighted linear fit around each query."""
+"""Value and gradient of a field known at scattered points, from a weighted linear fit around each query."""
 
 import math
 from typing import NamedTuple
@@ -13,12 +13,12 @@ from fingerflow.ops.fields.weighted_moments import weighted_moments
 
 
 class LocalFit(NamedTuple):
-    """A linear fit at Q queries of C components; NaN where the points do not determine it."""
+    """Linear fits at Q queries of C components; NaN where the points do not determine a fit."""
 
     value: Tensor  # (B, Q, C), the unit of the values
     gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
     covariance: Tensor | None  # (B, Q, C, 2, C, 2), [..., i, j, k, l] = cov(gradient_ij, gradient_kl)
-    point_count: Tensor  # (B, Q) int64, usable points within the support
+    point_count: Tensor  # (B, Q) int64, number of usable points within the support
     centroid_offset: Tensor  # (B, Q), distance from the query to the weighted centroid of its points, length unit
 
 
@@ -31,31 +31,34 @@ def local_gradients(
     variance: Tensor | None = None,
     minimum_points: int = MINIMUM_POINTS,
 ) -> LocalFit:
-    """Weighted least-squares plane through the values around each query: its height and its slope.
+    """Fit a plane by weighted least squares to the values around each query; return its value and gradient there.
 
-    A point at distance r from the query weighs (1 - (r/R)^2)^2 within R = gauge_length / 2 and nothing beyond.
+    A point at distance r from the query has the weight (1 - (r/R)^2)^2 within R = gauge_length / 2, and 0 beyond.
 
     Args:
-        points: (B, N, 2) positions (x, y) in a length unit L; reference positions where a strain is to follow.
-        values: (B, N, C), for example a displacement (u, v) in L. Either batch may be 1; one set of points for many
-            frames is several times faster than a set a frame, as the weights are shared.
-        queries: (B, Q, 2) places in L where the fit is wanted; the points themselves by default.
+        points: (B, N, 2) positions (x, y) in a length unit L; reference positions if a strain is computed from the
+            result.
+        values: (B, N, C), for example a displacement (u, v) in L. Either batch may be 1. One set of points for many
+            frames is several times faster than a set per frame, as the weights are shared.
+        queries: (B, Q, 2) positions of the fits in L; the points themselves by default.
         gauge_length: diameter of the support in L. It sets the resolution: in a dense uniform cloud a sinusoid of
-            wavelength w keeps 48 J3(k)/k^3 of its value and 384 J4(k)/k^4 of its slope, k = pi gauge_length / w
-            (0.88 of the slope at two gauge lengths a wave, 0.97 at four).
+            wavelength w keeps 48 J3(k)/k^3 of its value and 384 J4(k)/k^4 of its slope, k = pi gauge_length / w (0.88
+            of the slope at two gauge lengths per wave, 0.97 at four).
         variance: (B, N), the variance of each component of a value, or (B, N, C, C), its covariance, in value unit
-            squared. Asks for the covariance of the gradient: A^-1 (sum w^2 s d d') A^-1, the exact covariance of this
-            linear estimator for independent errors s. It does not contain the smoothing above.
-        minimum_points: at least 3, which a plane needs; the default leaves two to spare.
+            squared. If given, the covariance of the gradient is computed: A^-1 (sum w^2 s d d') A^-1, exact for this
+            linear estimator and independent errors s. It does not include the smoothing above.
+        minimum_points: at least 3, which a plane needs; the default adds two.
 
-    A point whose position or value is NaN or infinite, or whose variance is that or negative, is left out. A query is
-    NaN where fewer than `minimum_points` remain within the support, or where their weighted standard deviation is below
-    5 % of the gauge length in some direction (collinear or coincident points). Queries at the border get a one-sided
-    fit, which `centroid_offset` tells: 0 inside a uniform cloud, 0.15 gauge lengths on its straight border.
+    Points with a non-finite position, value or variance, or a negative variance, are ignored. A query is NaN where
+    fewer than `minimum_points` remain within the support. It is also NaN where their weighted standard deviation is
+    below 5 % of the gauge length in some direction (collinear or coincident points). Queries at the border get a
+    one-sided fit, which `centroid_offset` shows: 0 inside a uniform cloud, 0.15 gauge lengths on its straight border.
 
-    Computed in float32 at least and from differences to the query, so the distance from the origin costs nothing but
-    the rounding of the positions. Memory is bounded by working through the queries in pieces (autograd keeps them all).
-    Raises TypeError or ValueError for a wrong dtype, shape or setting.
+    Computed in float32 or wider, from differences to the query, so that only the rounding of the positions depends on
+    the distance from the origin. Queries are processed in pieces to bound memory (autograd keeps them all).
+
+    Raises:
+        TypeError, ValueError: a dtype, shape or setting is invalid.
     """
     queries = points if queries is None else queries
     _check(points, values, queries, gauge_length, variance, minimum_points)
@@ -85,7 +88,7 @@ def local_gradients(
             fitted.centroid_offset.to(kept),
         )
 
-    # NaN becomes 0 here with a weight of 0, rather than being masked at the end: autograd stays finite that way.
+    # NaN becomes 0 with a weight of 0, rather than being masked at the end, so that derivatives stay finite.
     usable = torch.isfinite(positions).all(-1) & torch.isfinite(measured).all(-1)
     if noise is not None:
         own = noise[..., :: components + 1] if noise.shape[2] == components**2 else noise
@@ -95,7 +98,7 @@ def local_gradients(
     positions = torch.where(torch.isfinite(positions), positions, 0)
     wanted = torch.where(asked[..., None], wanted, 0)
     measured = torch.where(usable[..., None], measured, 0)
-    # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+    # A constant does not change the slope: subtracting the mean saves its precision.
     level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
     measured = torch.where(usable[..., None], measured - level, 0)
 
@@ -157,7 +160,7 @@ def _check(
 
 
 def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
-    """The sandwich (B, Q, C, 2, C, 2): the noise moved to the centroid, between two inverses."""
+    """Return the covariance (B, Q, C, 2, C, 2) of gradients: the noise about the centroid, between two inverses."""
     plain, along_x, along_y, xx, xy, yy = (noise_sums / mass.square()[..., None, None]).unbind(-2)  # (B, Q, V) each
     x, y = centre[..., :1], centre[..., 1:]
     xx = xx - 2 * x * along_x + x * x * plain
@@ -173,5 +176,5 @@ def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inver
 
 
 def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor) -> Tensor:
-    """(...) four times to (..., 2, 2), row by row."""
+    """Return matrices (..., 2, 2) of the elements a, b, c, d (...), row by row."""
     return torch.stack((torch.stack((a, b), dim=-1), torch.stack((c, d), dim=-1)), dim=-2)

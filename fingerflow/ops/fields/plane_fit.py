@@ -1,6 +1,6 @@
-"""Local fits of fixed cost, for exported graphs and accelerators: `ops.fields.local_fit` as a few products of matrices.
+"""Local fits at fixed cost, for exported graphs and accelerators: `ops.fields.local_fit` as a few matrix products.
 
-Components stand before points, (B, 2, N): runtimes are slow where the last axis is short.
+Components precede points, (B, 2, N): ONNX runtimes are slow if the last axis is short.
 """
 
 from typing import NamedTuple
@@ -13,15 +13,15 @@ from fingerflow.ops.looking import looks
 from fingerflow.ops.tensors import components_first, finite, sum_rows
 
 _TINY = 1e-20
-_ONE = 2.0**-60  # what counts as one: less than any number that is not 0 here, so that clamping makes it of them all
+_ONE = 2.0**-60  # stands for 1 in counts: less than any positive value here, so that clamping makes all equal
 
 
 class Support(NamedTuple):
-    """What N points and Q queries say of fits, whatever the values; lengths in radii of the support.
+    """Geometry of the fits of N points and Q queries, independent of the values; lengths in radii of the support.
 
     Attributes:
         weights: (1 or B, Q, N), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
-        within: (1 or B, Q, N), `_ONE` within it, else 0.
+        within: (1 or B, Q, N), `_ONE` within R, else 0.
     """
 
     weights: Tensor
@@ -29,21 +29,26 @@ class Support(NamedTuple):
 
 
 class PlaneFit(NamedTuple):
-    """Planes at Q queries of B frames, of C components; lengths in radii of the support. Any number where it is not
-    `known`. What does not depend on the values may be one for all frames.
+    """Planes at Q queries of B frames, of C components; lengths in radii of the support.
+
+    Values are arbitrary where not `known`. What does not depend on the fitted values may have a batch of 1 for all
+    frames.
     """
 
     known: Tensor  # (B, 1, Q) bool
     value: Tensor  # (B, C, Q), the unit of the values
     gradient: Tensor  # (B, 2 C, Q), du/dx, du/dy, dv/dx, ..., value unit per length unit
-    centroid: Tensor  # (B, 2, Q), weighted mean place of the points, from the common origin
+    centroid: Tensor  # (B, 2, Q), weighted mean position of the points, from the common origin
     inverse: Tensor  # (B, 3, Q), xx, xy, yy of the inverse of the points' second moments about it
     mass: Tensor  # (B, 1, Q), sum of the weights
     weights: Tensor  # of `Support`
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Places (B, 2, N) in radii from the mean of points (B, N, 2), 0 where one is not known; and (B, 1, N) whether."""
+    """Return positions (B, 2, N) relative to the mean of points (B, N, 2), in radii, and which are known, (B, 1, N).
+
+    Unknown positions are 0.
+    """
     moved = points.mT
     given = finite(sum_rows(moved))
     number = given.to(points.dtype)
@@ -53,9 +58,9 @@ def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Te
 
 
 def support_of(places: Tensor, queries: Tensor) -> Support:
-    """Of places (1 or B, 2, N) and queries (1 or B, 2, Q) in radii from one origin, as for `fit_planes`.
+    """Compute the `Support` of positions (1 or B, 2, N) and queries (1 or B, 2, Q), in radii from one origin.
 
-    1 - |x_i - x_q|^2 is a product of (2x, |x|^2, 1) with its counterpart: no pair is visited by itself.
+    1 - |x_i - x_q|^2 is the product of (2x, |x|^2, 1) with its counterpart: one matrix product serves all pairs.
     """
     norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
     support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
@@ -73,25 +78,26 @@ def fit_planes(
     radius: float | Tensor,
     support: Support | None = None,
 ) -> PlaneFit:
-    """The weighted fits of `ops.local_gradients`, weights (1 - (r/R)^2)^2.
+    """Compute the weighted fits of `local_gradients`, with weights (1 - (r/R)^2)^2.
 
     The moments of all fits are the product of the weights with the monomials of x and u.
 
     Args:
-        places: (1 or B, 2, N) in radii from an origin among them: digits are lost as the square of their distance.
-        values: (B, C, N), any number where not usable.
+        places: (1 or B, 2, N) positions in radii from an origin among them; precision falls with the square of the
+            distance.
+        values: (B, C, N), arbitrary where not usable.
         queries: (1 or B, 2, Q) in radii from the same origin.
-        usable: (B, 1, N) bool; places are finite everywhere.
-        radius: of the support in the length unit that gradients are to be per.
-        support: of these places and queries, where it is known.
+        usable: (B, 1, N) bool; `places` are finite everywhere.
+        radius: of the support, in the length unit of the gradients.
+        support: of these positions and queries; computed by default.
     """
     weights, within = support or support_of(places, queries)
     channels = values.shape[1]
-    # Where the same points count in all frames, what is not of their values is one for all.
+    # If the same points are usable in all frames, everything but the values has a batch of 1.
     if len(places) == 1 and looks(usable) and bool((usable == usable[:1]).all()):
         usable = usable[:1]
     weight = usable.to(places.dtype)
-    # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+    # A constant does not change the slope: subtracting the mean saves its precision.
     values = torch.where(usable, values, 0.0)
     level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
     moved = weight * (values - level)
@@ -123,9 +129,10 @@ def fit_planes(
 
 
 def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
-    """(B, Q, 2, 2, 2, 2) as `LocalFit` has it, from points' covariances (B, 3, N): uu, uv, vv, 0 if not usable.
+    """Return the covariance (B, Q, 2, 2, 2, 2) of gradients as in `LocalFit`.
 
-    The sandwich A^-1 (sum w^2 s d d') A^-1, exact for this linear estimator and independent errors.
+    `covariance` (B, 3, N) is that of the points: uu, uv, vv, 0 where not usable. The sandwich A^-1 (sum w^2 s d d')
+    A^-1 is exact for this linear estimator and independent errors.
     """
     one = torch.ones_like(places[:, :1])
     of_places = torch.cat((one, places, squares(places)), dim=1)  # (., 6, N)
@@ -149,20 +156,20 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """(B, 3, N) products aa, ab, bb of pairs (B, 2, N)."""
+    """Return the products aa, ab, bb (B, 3, N) of pairs (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 
 def _mixed(components: Tensor, pair: Tensor) -> Tensor:
-    """(B, 2 C, N) products ac, ad, bc, ... of components (B, C, N) with pairs (1 or B, 2, N)."""
+    """Return the products ac, ad, bc, ... (B, 2 C, N) of components (B, C, N) with pairs (1 or B, 2, N)."""
     return (components[:, :, None] * pair[:, None]).flatten(1, 2)
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """(B, K, Q) of rows (B, K, N) and (1 or B, Q, N).
+    """Return the products (B, K, Q) of rows (B, K, N) with a matrix (1 or B, Q, N).
 
-    One matrix for all frames is not copied for each of them. While a graph is exported it stands first, where runtimes
-    take half the time for a product of few rows; torch takes twice as long.
+    One matrix for all frames is not copied for each of them. In an exported graph the matrix is the first factor: this
+    takes ONNX runtimes half the time for few rows, but torch twice the time.
     """
     if matrix.shape[0] == 1 and rows.shape[0] != 1:
         result: Tensor = _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])

@@ -1,4 +1,4 @@
-"""Gradients of the displacement at the points themselves, at fixed cost."""
+"""Displacement gradients at the points themselves, at fixed cost."""
 
 from typing import NamedTuple
 
@@ -15,11 +15,12 @@ from fingerflow.ops.tensors import finite, sum_rows
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
 ) -> tuple[Tensor, Tensor | None]:
-    """`local_gradients` of displacements (B, N, 2) at reference positions (1 or B, N, 2), and their covariance.
+    """Return `local_gradients` of displacements (B, N, 2) at reference positions (1 or B, N, 2), and their covariance.
 
-    Gradient (B, N, 2, 2) and, with ``covariance`` (B, N, 2, 2) of the displacements, its covariance (B, N, 2, 2, 2, 2)
-    as `LocalFit` has them; NaN also where a point's own displacement is not known. Compiled kernels fit from
-    differences of positions; the portable form, which is exported, by products of matrices (`ops.fields.plane_fit`).
+    The gradient is (B, N, 2, 2). With `covariance` (B, N, 2, 2) of the displacements, its covariance is (B, N, 2, 2, 2,
+    2), else None; both as in `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled
+    kernels fit differences of positions; the portable form, which is exported, uses matrix products
+    (`ops.fields.plane_fit`).
     """
     if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
@@ -29,7 +30,7 @@ def point_gradients(
     radius = gauge_length / 2
     if not looks(reference, displacement, covariance):
         return _gradients(radius, reference, displacement, covariance)
-    # Of points that are known in none of the frames nothing follows.
+    # Points that are known in no frame are left out.
     some = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
     noise = None if covariance is None else covariance.index_select(1, some)
     gradient, spread = _gradients(radius, reference.index_select(1, some), displacement.index_select(1, some), noise)
@@ -59,15 +60,16 @@ def _gradients(
 
 
 class NeighbourPlanes(NamedTuple):
-    """What their neighbours say of N points: values (B, N, C) there, and gradients (B, N, C, 2)."""
+    """Planes fitted around N points: values (B, N, C) at the points, and gradients (B, N, C, 2)."""
 
     value: Tensor
     gradient: Tensor
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
-    """What the portable form of `neighbour_planes` needs to know of reference positions (1 or B, N, 2), once for all
-    that is asked there; None where compiled kernels do without.
+    """Return the `Support` for the portable form of `neighbour_planes`, to be reused for all values at these positions.
+
+    `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """
     if kernels.serve(reference):
         return None
@@ -78,10 +80,11 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
 def neighbour_planes(
     reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
 ) -> NeighbourPlanes:
-    """`local_gradients` of values (B, N, C) at all given reference positions (1 or B, N, 2).
+    """Return `local_gradients` of values (B, N, C) at all given reference positions (1 or B, N, 2).
 
-    Also where a point's own value is not known, from its neighbours; where one of the C is not known, none is. Forms as
-    for `point_gradients`; the portable one takes the `neighbours_support` of these positions, if that is known.
+    A point without a value of its own gets the fit of its neighbours. A point with one unknown component counts as
+    unknown. Compiled and portable forms are as for `point_gradients`; the latter can reuse the `neighbours_support` of
+    these positions.
     """
     if kernels.serve(reference, values):
         fit = local_gradients(reference, values, gauge_length=gauge_length)
@@ -96,10 +99,10 @@ def neighbour_planes(
 
 
 def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
-    """Gradients (B, Q, C, 2) at queries (B, Q, 2) of values (B, N, C) known at points (B, N, 2), NaN where they do not
-    determine them: the portable form of `local_gradients` at fixed cost, which is exported.
+    """Return gradients (B, Q, C, 2) at queries (B, Q, 2) of values (B, N, C) at points (B, N, 2).
 
-    ``gauge_length`` (1,) is in the unit of the points.
+    They are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed cost,
+    which is exported. `gauge_length` (1,) is in the unit of the points.
     """
     radius = gauge_length.to(points.dtype) / 2
     both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)

@@ -1,4 +1,4 @@
-"""What a rigid motion of the whole finger leaves unexplained: the usual sign of incipient slip."""
+"""Residual displacement after subtraction of the rigid motion of the finger: the usual measure of incipient slip."""
 
 import torch
 from torch import Tensor
@@ -8,23 +8,26 @@ from fingerflow.ops.tensors import finite
 
 
 def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Displacement (B, N, 2) minus the best rigid motion of the points, one rotation and one translation a frame.
+    """Return the displacement (B, N, 2) minus the best rigid motion of the points in each frame.
+
+    The motion, one rotation and one translation, minimises the weighted sum of squared residuals (Procrustes, closed
+    form in the plane). A point with a non-finite position or displacement is ignored in the fit and has a residual of
+    NaN. A point with a non-finite weight is ignored in the fit only. A frame with fewer than two distinct points, which
+    do not determine the rotation, is NaN throughout. Computed in float32 or wider.
 
     Args:
         points: (B, N, 2) reference positions, any length unit L; B may be 1 for all frames.
         displacement: (B, N, 2) in L.
-        weights: (B, N), not negative; equal by default. A point of weight 0 has no part in the fit, but a residual.
+        weights: (B, N), not negative; equal by default. A point of weight 0 is ignored in the fit, but has a residual.
 
-    The motion minimises the weighted sum of squared residuals (Procrustes, closed form in the plane). A point with a
-    NaN or infinite position or displacement has no part in the fit and a residual of NaN; one with such a weight has
-    no part either. A frame whose points do not determine the rotation (fewer than two distinct ones) is NaN throughout.
-    Computed in float32 at least. Raises TypeError or ValueError for a wrong dtype or shape.
+    Raises:
+        TypeError, ValueError: a dtype or shape is invalid.
     """
     check_scattered(points, displacement)
     if displacement.shape[2] != 2:
         raise ValueError(f"displacement must have shape (B, N, 2), found {tuple(displacement.shape)}")
     dtype = working_dtype(points, displacement)
-    # Each component by itself in memory: torch is several times as slow where the last axis is short.
+    # Components in separate tensors: torch is several times as slow if the last axis is short.
     (place_x, place_y), (moved_x, moved_y) = (one.to(dtype).unbind(-1) for one in (points, displacement))
     present = finite(place_x + place_y) & finite(moved_x + moved_y)
     place_x, place_y, moved_x, moved_y = (torch.where(present, one, 0) for one in (place_x, place_y, moved_x, moved_y))
@@ -35,10 +38,10 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
         check_batches(points=points, displacement=displacement, weights=weights)
         mass = mass * torch.where(torch.isfinite(weights), weights, 0).to(dtype)
 
-    # Centred twice: the first mean of far coordinates is itself rounded.
+    # Centred twice: the first mean of coordinates far from the origin is itself rounded.
     x, y = (_centred(_centred(one, mass), mass) for one in (place_x, place_y))
     change_x, change_y = (_centred(one, mass) for one in (moved_x, moved_y))
-    # Dot and cross product of the positions before and after; the cross product of a position with itself is left out.
+    # Dot and cross product of the positions before and after; that of a position with itself is 0.
     spread = _sum(mass * (x * x + y * y))
     along = spread + _sum(mass * (x * change_x + y * change_y))
     across = _sum(mass * (x * change_y - y * change_x))
@@ -60,5 +63,5 @@ def _centred(values: Tensor, mass: Tensor) -> Tensor:
 
 
 def _sum(values: Tensor) -> Tensor:
-    """(B, 1) of (B, N)."""
+    """Return the sums (B, 1) of values (B, N)."""
     return values.sum(1, keepdim=True)

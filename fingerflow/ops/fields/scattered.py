@@ -1,13 +1,13 @@
-"""What every op on scattered points asks of its input."""
+"""Input checks and dtypes shared by all operations on scattered points."""
 
 import torch
 from torch import Tensor
 
 
 def check_scattered(points: Tensor, values: Tensor) -> None:
-    """Raises TypeError or ValueError unless points are (B, N, 2) and values (B, N, C), floating, with the same N.
+    """Raise TypeError or ValueError unless points are (B, N, 2) and values (B, N, C), floating, with the same N.
 
-    A batch of 1 on either side serves every item of the other: reference positions are often the same for all frames.
+    Either batch may be 1 and then serves all items of the other: reference positions are often the same for all frames.
     """
     for name, tensor in (("points", points), ("values", values)):
         if not tensor.is_floating_point():
@@ -20,7 +20,7 @@ def check_scattered(points: Tensor, values: Tensor) -> None:
 
 
 def check_batches(**tensors: Tensor) -> None:
-    """Raises ValueError unless the first dimensions are equal, or 1."""
+    """Raise ValueError unless the first dimensions are equal, or 1."""
     sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
     if len(set(sizes.values()) - {1}) > 1:
         found = ", ".join(f"{name} {size}" for name, size in sizes.items())
@@ -28,12 +28,15 @@ def check_batches(**tensors: Tensor) -> None:
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:
-    """The widest type given, and at least float32: differences of half-precision positions would lose the strain."""
+    """Return the widest dtype given, and at least float32.
+
+    Differences of half-precision positions would lose the strain.
+    """
     return torch.promote_types(torch.float32, result_dtype(*tensors))
 
 
 def result_dtype(*tensors: Tensor) -> torch.dtype:
-    """The widest type given."""
+    """Return the widest dtype given."""
     widest = tensors[0].dtype
     for tensor in tensors[1:]:
         widest = torch.promote_types(widest, tensor.dtype)

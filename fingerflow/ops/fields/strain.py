@@ -1,8 +1,8 @@
-"""From a displacement gradient to divergence, curl, shear, strain and strain energy.
+"""Divergence, curl, shear, strain, stress and strain energy of a displacement gradient.
 
 A gradient (..., 2, 2) has [..., i, j] = d u_i / d x_j with (u, v) and (x, y), without unit, in REFERENCE coordinates. A
-strain (..., 3) is (exx, eyy, exy) with the tensor's exy, half of the engineering shear. Everything is computed in the
-dtype given; NaN stays where it is.
+strain (..., 3) is (exx, eyy, exy) with the tensor's exy, half of the engineering shear. Results have the dtype of the
+input, and NaN propagates.
 """
 
 import math
@@ -15,44 +15,44 @@ from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
 
 
 def divergence(gradient: Tensor) -> Tensor:
-    """du/dx + dv/dy (...), without unit: relative growth of area at first order."""
+    """Return du/dx + dv/dy (...), without unit: the relative growth of area to first order."""
     ux, _, _, vy = _parts(gradient)
     return ux + vy
 
 
 def curl(gradient: Tensor) -> Tensor:
-    """dv/dx - du/dy (...), in rad: twice the small rotation, positive where x turns towards y."""
+    """Return dv/dx - du/dy (...), in rad: twice the small rotation, positive from x towards y."""
     _, uy, vx, _ = _parts(gradient)
     return vx - uy
 
 
 def shear(gradient: Tensor) -> Tensor:
-    """The two shear parts (..., 2), without unit: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals.
+    """Return the two shear components (..., 2), without unit.
 
-    With divergence d, curl c and these s, t the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021,
-    figure S6).
+    They are s = du/dx - dv/dy along the axes and t = du/dy + dv/dx along the diagonals. With divergence d and curl c
+    the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021, figure S6).
     """
     ux, uy, vx, vy = _parts(gradient)
     return torch.stack((ux - vy, uy + vx), dim=-1)
 
 
 def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Strain (..., 3) as (exx, eyy, exy) of a displacement gradient (..., 2, 2) taken in reference coordinates.
+    """Return the strain (..., 3) as (exx, eyy, exy) of a displacement gradient (..., 2, 2) in reference coordinates.
 
-    `measure` is one of
-        "green_lagrange": (F'F - I) / 2 with F = I + gradient; zero for every rotation;
-        "as_printed": the same but for exy = (u_y + v_x) / 2, as Willemet et al. 2021 print it in their equation 1. It
-            lacks (u_x u_y + v_x v_y) / 2, so a stretch that is also rotated gets a shear that is not there;
-        "infinitesimal": the symmetric part of the gradient; a rotation by w looks like a stretch of -w^2 / 2.
+    The lab's published script has dv/dx instead of dv/dy in eyy; here it is dv/dy. `measure` is one of
+    - "green_lagrange": (F'F - I) / 2 with F = I + gradient; zero for every rotation.
+    - "as_printed": the same except exy = (u_y + v_x) / 2, as in equation 1 of Willemet et al. 2021. It lacks (u_x u_y +
+      v_x v_y) / 2, so a stretch that is also rotated gets a spurious shear.
+    - "infinitesimal": the symmetric part of the gradient; a rotation by w appears as a stretch of -w^2 / 2.
 
-    The lab's published script has dv/dx in place of dv/dy in eyy; here it is dv/dy. Raises ValueError for another
-    measure.
+    Raises:
+        ValueError: another measure, or a wrong dtype or shape.
     """
     return torch.stack(strain_parts(*_parts(gradient), measure), dim=-1)
 
 
 def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
-    """exx, eyy and exy of `green_lagrange`, each by itself as the parts du/dx, du/dy, dv/dx and dv/dy are."""
+    """Return exx, eyy and exy of `green_lagrange` from du/dx, du/dy, dv/dx and dv/dy, all as separate tensors."""
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     exx, eyy, exy = ux, vy, (uy + vx) / 2
@@ -65,22 +65,22 @@ def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -
 
 
 class PrincipalStrains(NamedTuple):
-    """Extremes of a strain over all directions."""
+    """Largest and smallest normal strain over all directions."""
 
     strains: Tensor  # (..., 2), the major and the minor one
     angle: Tensor  # (...), rad in [-pi/2, pi/2], from the x axis to the major direction; NaN where the two are equal
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Major and minor principal strain and the direction of the major one, of (exx, eyy, exy) (..., 3).
+    """Return the major and minor principal strain, and the direction of the major one, of (exx, eyy, exy) (..., 3).
 
-    Where the two are equal there is no direction: the angle is NaN. Their difference has a kink there, so autograd
-    gives both the gradient of their mean.
+    Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
+    autograd gives both the gradient of their mean.
     """
     exx, eyy, exy = _components(strain)
     mean, half_difference = (exx + eyy) / 2, (exx - eyy) / 2
     equal = (half_difference == 0) & (exy == 0)
-    # Replaced before hypot and atan2, whose derivatives at the origin are NaN.
+    # Replaced beforehand, since hypot and atan2 have NaN derivatives at the origin.
     half_difference, exy = torch.where(equal, 1, half_difference), torch.where(equal, 0, exy)
     radius = torch.where(equal, 0, torch.hypot(half_difference, exy))
     angle = torch.where(equal, torch.nan, torch.atan2(exy, half_difference) / 2)
@@ -88,13 +88,15 @@ def principal_strains(strain: Tensor) -> PrincipalStrains:
 
 
 def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
-    """Elastic energy per volume (...) in mJ/mm^3 of an isotropic linear solid in plane strain, for strain (..., 3).
+    """Return the elastic energy density (...), mJ/mm^3, of an isotropic linear solid in plane strain.
 
-    E(1-nu)/(2(1+nu)(1-2nu)) (exx^2 + eyy^2) + E nu/((1+nu)(1-2nu)) exx eyy + E/(1+nu) exy^2 (Willemet et al. 2021); its
-    derivatives are the stresses sxx, syy and 2 sxy in MPa, as 1 MPa = 1 mJ/mm^3. Positive for every strain but zero.
-    float16 holds nothing under 6e-8 mJ/mm^3, a strain of 3e-4 at 1 MPa: use bfloat16 or float32.
+    For strain (..., 3) it is E(1-nu)/(2(1+nu)(1-2nu)) (exx^2 + eyy^2) + E nu/((1+nu)(1-2nu)) exx eyy + E/(1+nu) exy^2
+    (Willemet et al. 2021). Its derivatives are the stresses sxx, syy and 2 sxy in MPa, as 1 MPa = 1 mJ/mm^3. It is
+    positive for every strain but zero. float16 underflows below 6e-8 mJ/mm^3, a strain of 3e-4 at 1 MPa: use bfloat16
+    or float32.
 
-    Raises ValueError unless young_modulus_mpa > 0 and -1 < poisson_ratio < 0.5: outside, the energy is not positive.
+    Raises:
+        ValueError: not young_modulus_mpa > 0 or not -1 < poisson_ratio < 0.5: outside, the energy is not positive.
     """
     if not (math.isfinite(young_modulus_mpa) and young_modulus_mpa > 0):
         raise ValueError(f"young_modulus_mpa must be a positive number of MPa, found {young_modulus_mpa}")
@@ -108,23 +110,23 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
 
 
 def stress(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
-    """Stress (..., 3) as (sxx, syy, sxy) in MPa of the solid of `strain_energy_density`, for strain (..., 3)."""
+    """Return the stress (..., 3) as (sxx, syy, sxy), MPa, for strain (..., 3) and `strain_energy_density`."""
     return torch.stack(stress_parts(*_components(strain), young_modulus_mpa, poisson_ratio), dim=-1)
 
 
 def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """sxx, syy and sxy of `stress`, each by itself."""
+    """Return sxx, syy and sxy of `stress` as separate tensors."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
 
 
 def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
-    """What errors of the strain add to `strain_energy_density` on average (...), mJ/mm^3.
+    """Return the mean contribution (...) of strain errors to `strain_energy_density`, mJ/mm^3.
 
-    The density is a quadratic form of the strain: the same form of its covariance (..., 4), exx, eyy, exy and exx with
-    eyy, as `strain_covariance` has it.
+    The density is a quadratic form of the strain, so this is the same form of the strain's covariance (..., 4):
+    variances of exx, eyy and exy, and the covariance of exx and eyy, as in `strain_covariance`.
     """
     exx, eyy, exy, between = covariance.unbind(-1)
     return energy_form(exx, eyy, exy, between, young_modulus_mpa, poisson_ratio)
@@ -133,20 +135,20 @@ def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """The quadratic form of `strain_energy_density` from exx^2, eyy^2, exy^2 and exx eyy, or from their means."""
+    """Return the quadratic form of `strain_energy_density` of exx^2, eyy^2, exy^2 and exx eyy, or of their means."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 
 
 def stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
-    """Factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
+    """Return the factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))
     return direct, scale * poisson_ratio / (1 - 2 * poisson_ratio), scale
 
 
 def _parts(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """du/dx, du/dy, dv/dx, dv/dy."""
+    """Return du/dx, du/dy, dv/dx, dv/dy."""
     if not gradient.is_floating_point() or gradient.shape[-2:] != (2, 2):
         raise ValueError(f"gradient must be floating (..., 2, 2), found {gradient.dtype} {tuple(gradient.shape)}")
     return gradient[..., 0, 0], gradient[..., 0, 1], gradient[..., 1, 0], gradient[..., 1, 1]

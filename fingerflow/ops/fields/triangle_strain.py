@@ -1,4 +1,4 @@
-"""Strain of triangles in many frames, its energy over those that touch, and what errors of the points make of both."""
+"""Strain of triangles in many frames, its energy over the triangles in contact, and the uncertainty of both."""
 
 from typing import NamedTuple
 
@@ -14,13 +14,13 @@ from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, tri
 class SharedErrors(NamedTuple):
     """Correlation of the errors of points that lie near each other."""
 
-    corners: Tensor  # (M, 3), of corners 0 and 1, 1 and 2, 2 and 0 of the triangles
-    pairs: Tensor  # (K, 2) int64, all points that have errors in common, each pair once
-    correlation: Tensor  # (K,) theirs
+    corners: Tensor  # (M, 3), between corners 0 and 1, 1 and 2, 2 and 0 of the triangles
+    pairs: Tensor  # (K, 2) int64, all pairs of points with correlated errors, each pair once
+    correlation: Tensor  # (K,) of the pairs
 
 
 class TriangleStrain(NamedTuple):
-    """Of M triangles in B frames; NaN where not known."""
+    """Strain and energy of M triangles in B frames; NaN where not known."""
 
     strain: Tensor  # (B, M, 3) as (exx, eyy, exy)
     strain_std: Tensor  # (B, M, 3)
@@ -41,18 +41,18 @@ def triangle_strain(
     young_modulus_mpa: float = 1.0,
     poisson_ratio: float = 0.4,
 ) -> TriangleStrain:
-    """Strain of the gradients of `triangle_gradients`, and its energy density integrated over the triangles that touch.
+    """Compute the strain of triangles, and its energy density integrated over the triangles in contact.
 
-    Frames share triangles and slopes: here they are the last axis, each number of a point or a triangle a row of its
-    own, so that a corner is fetched for all frames at once.
+    The gradients are those of `triangle_gradients`. Frames share triangles and slopes. In the portable form they are
+    the last axis and each quantity of a point or triangle is a row, so that a corner is fetched for all frames at once.
 
     Args:
         reference: (1, N, 2) reference positions, mm.
         triangles: (M, 3) indices of points, int64.
         displacement: (B, N, 2) mm, NaN where a point is not known.
         covariance: (B, N, 2, 2) mm^2 of the displacement.
-        in_contact: (B, M) bool, which triangles count in the energy.
-        shared: which errors are the same ones in part; none by default.
+        in_contact: (B, M) bool, triangles that count in the energy.
+        shared: correlation of errors between points; none by default.
         measure: of strain, as in `green_lagrange`.
         young_modulus_mpa, poisson_ratio: of the solid, as in `strain_energy_density`.
     """
@@ -80,7 +80,7 @@ def triangle_strain(
         return TriangleStrain(strain_of, strain_std, held, energy, deviation + 0 * energy)
 
     def at_corners(values: Tensor) -> Tensor:
-        """(B, N) to (3, M, B)."""
+        """Gather values (B, N) at corners, (3, M, B)."""
         result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
         return result
 
@@ -90,7 +90,7 @@ def triangle_strain(
         return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
 
     def at_points(corner_values: Tensor) -> Tensor:
-        """Sums (N, B) of what corners (3, M, B) add to points."""
+        """Sum contributions of corners (3, M, B) to points, (N, B)."""
         sums = corner_values.new_zeros(displacement.shape[1], len(displacement))
         return sums.index_add_(0, corners, corner_values.flatten(0, 1))
 
@@ -118,19 +118,22 @@ def triangle_strain(
 
 
 def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
-    """(B,) of the energy, from the forces (N, B) at the points and the squares of what their errors add to it (B,),
-    summed.
+    """Return the standard deviation (B,) of the energy.
 
-    To first order by the forces; of the noise's own energy, by what each point adds to it: its displacement has two
-    components, and a sixth more comes from being stiffly joined to its neighbours. The forces that are measured have
-    noise too, which adds twice that variance on average.
+    The variance is the sum of two parts:
+    - To first order: that of the errors times the forces x, y (N, B) at the points.
+    - That of the energy that the errors themselves add. For a point it is the square of the mean of that energy, as a
+      displacement has two components. `own` (B,) is the sum over points; the stiff coupling between neighbours adds a
+      sixth.
+
+    The measured forces are noisy too, which adds twice the second part to the first on average.
     """
     uu, uv, vv = (covariance[..., i, j].nan_to_num(0.0).T for i, j in ((0, 0), (0, 1), (1, 1)))
     linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
     if shared is not None:
         forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
         correlation = shared.correlation.to(x.dtype)
-        # The device is stated: else torch takes the default one, whatever the tensors are on.
+        # Without `device` torch takes the default device, not that of the tensors.
         beside = torch.sparse_coo_tensor(
             shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
         )
@@ -141,10 +144,10 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
 
 
 def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Area (B, M) by which each triangle counts in an integral over those that are ``in_contact`` (B, M).
+    """Return the area (B, M) with which each triangle counts in an integral over those `in_contact` (B, M).
 
-    Triangles that are not ``known`` are taken at the mean of the others; NaN where these are less than half of the
-    area, or where no triangle touches.
+    Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
+    half of the area, or where no triangle is in contact.
     """
     areas = areas.nan_to_num(0.0)
     counted = (in_contact & known) * areas
@@ -153,6 +156,6 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
 
 
 def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
-    """(M, 3, 2): slopes of the other two corners, each times the correlation with it (M, 3)."""
+    """Return the sum (M, 3, 2) of the slopes of the other two corners, each times its correlation (M, 3)."""
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

@@ -11,23 +11,26 @@ MINIMUM_QUALITY = 0.1
 def triangle_gradients(
     points: Tensor, triangles: Tensor, values: Tensor, *, minimum_quality: float = MINIMUM_QUALITY
 ) -> Tensor:
-    """Gradient of the linear interpolation of `values` on each triangle (the constant-strain triangle).
+    """Return the gradient of the linear interpolation of `values` on each triangle (the constant-strain triangle).
+
+    Computed in float32 or wider, from edge vectors only, so that only the rounding of the positions depends on the
+    distance from the origin.
 
     Args:
-        points: (B, N, 2) REFERENCE positions (x, y), any length unit L. Not the current ones: a Green-Lagrange strain
-            of gradients on current positions is wrong by the strain itself. B may be 1 for all frames.
+        points: (B, N, 2) REFERENCE positions (x, y), any length unit L; B may be 1 for all frames. From current
+            positions, a Green-Lagrange strain would be wrong by the strain itself.
         triangles: (M, 3) indices of points, the same for the whole batch, either orientation.
         values: (B, N, C), for a displacement (u, v) in L.
-        minimum_quality: limit of `triangle_quality` in [0, 1]; a flatter triangle amplifies the noise of its points
-            beyond use. 0.1 is a height of 4 % of the longest edge for an obtuse sliver.
+        minimum_quality: limit of `triangle_quality` in [0, 1]; flatter triangles amplify the noise of their points too
+            much. 0.1 is a height of 4 % of the longest edge for an obtuse sliver.
 
     Returns:
         (B, M, C, 2): `[..., i, j]` is d value_i / d x_j, in value unit per L. NaN where the triangle is flatter than
-        the limit, is collinear, repeats a point, has a NaN or infinite vertex or value, or names a point that is not
-        there (-1 pads).
+        the limit, is collinear, repeats a point, has a NaN or infinite vertex or value, or has an index out of range
+        (-1 pads).
 
-    Computed in float32 at least, from edge vectors only, so the distance from the origin costs nothing but the rounding
-    of the positions themselves. Raises TypeError or ValueError for a wrong dtype or shape.
+    Raises:
+        TypeError, ValueError: a dtype, shape or quality limit is invalid.
     """
     check_scattered(points, values)
     if not 0 <= minimum_quality <= 1:
@@ -39,7 +42,7 @@ def triangle_gradients(
     # Collinear points have quality 0, which a limit of 0 must not let through; NaN fails every comparison.
     usable = (quality >= minimum_quality) & (quality > 0)
     usable = usable & (torch.isfinite(first_change) & torch.isfinite(second_change)).all(-1)
-    # Sanitised before the division: a NaN in the branch not taken would still reach the gradient of autograd.
+    # Replaced before the division: a NaN in the unused branch would still reach the derivative.
     first_edge, second_edge, first_change, second_change = (
         torch.where(usable[..., None], edge, 0) for edge in (first_edge, second_edge, first_change, second_change)
     )
@@ -53,10 +56,10 @@ def triangle_gradients(
 
 
 def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
-    """Gradients (B, M, 3, 2) of the linear functions that are 1 on one corner of a triangle and 0 on the others.
+    """Return the gradients (B, M, 3, 2) of the linear shape functions, 1 on one corner of a triangle and 0 on two.
 
-    Per length unit of points (B, N, 2): with values u_k at the corners, `triangle_gradients` is the sum of u_k s_k'.
-    Infinite or NaN for a collinear triangle, NaN where a vertex is missing.
+    They are per length unit of points (B, N, 2): with values u_k at the corners, `triangle_gradients` is the sum of u_k
+    s_k'. Infinite or NaN for a collinear triangle, NaN where a vertex is missing.
     """
     check_scattered(points, points)
     first, second = _edges(points, triangles)
@@ -67,16 +70,19 @@ def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def triangle_areas(points: Tensor, triangles: Tensor) -> Tensor:
-    """Area (B, M) in L^2 of triangles (M, 3) on points (B, N, 2) in L; never negative, NaN if a vertex is missing."""
+    """Return the areas (B, M), L^2, of triangles (M, 3) on points (B, N, 2) in L.
+
+    They are never negative, and NaN where a vertex is missing.
+    """
     check_scattered(points, points)
     return (_cross(*_edges(points.to(working_dtype(points)), triangles)).abs() / 2).to(points.dtype)
 
 
 def triangle_quality(points: Tensor, triangles: Tensor) -> Tensor:
-    """Shape (B, M) of triangles (M, 3) on points (B, N, 2): 4 sqrt(3) area / (sum of squared edges).
+    """Return the shape quality (B, M) of triangles (M, 3) on points (B, N, 2): 4 sqrt(3) area / (sum of squared edges).
 
-    1 for an equilateral triangle, 0.87 for half a square, 0 for a collinear one, NaN where a vertex is NaN, infinite or
-    not there. It depends on neither scale, place, rotation nor orientation.
+    1 for an equilateral triangle, 0.87 for half a square, 0 for a collinear one, NaN where a vertex is not finite or
+    missing. It is invariant to scale, position, rotation and orientation.
     Source: Bank & Smith, SIAM J. Numer. Anal. 34 (1997) 979, their function q(t).
     """
     check_scattered(points, points)
@@ -84,12 +90,15 @@ def triangle_quality(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def _edges(per_point: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
-    """(B, N, C) to the two differences (B, M, C) from each triangle's first vertex; NaN for a missing vertex."""
+    """Return the two differences (B, M, C) of values (B, N, C) from each triangle's first vertex.
+
+    They are NaN where a vertex is missing.
+    """
     if triangles.dim() != 2 or triangles.shape[1] != 3:
         raise ValueError(f"triangles must have shape (M, 3), found {tuple(triangles.shape)}")
     if triangles.dtype.is_floating_point or triangles.dtype == torch.bool:
         raise TypeError(f"triangles must be integer indices, found {triangles.dtype}: convert with .long()")
-    # One more point, NaN, stands for every index outside the list: no negative index wraps round to a plausible point.
+    # An extra NaN point stands for every index out of range, so that negative indices do not wrap around.
     count = per_point.shape[1]
     absent = per_point.new_full((per_point.shape[0], 1, per_point.shape[2]), torch.nan)
     indices = triangles.long()

@@ -1,4 +1,4 @@
-"""A vector field on a part of the plane, split into what its sources, its vortices and the rest of the world make."""
+"""Helmholtz-Hodge decomposition of a vector field on a part of the plane: divergence, curl and harmonic parts."""
 
 import math
 from typing import NamedTuple
@@ -11,9 +11,9 @@ class Parts(NamedTuple):
     """Parts of a field, (B, 2, H, W) each, which add up to it; NaN outside the mask.
 
     Attributes:
-        irrotational: without curl: the flow of the divergence inside the mask.
-        solenoidal: without divergence: the flow of the curl inside the mask.
-        harmonic: without either: what lies outside the mask causes, such as a translation.
+        irrotational: without curl: the flow due to the divergence inside the mask.
+        solenoidal: without divergence: the flow due to the curl inside the mask.
+        harmonic: without either: due to what lies outside the mask, such as a translation.
     """
 
     irrotational: Tensor
@@ -22,29 +22,28 @@ class Parts(NamedTuple):
 
 
 def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
-    """The natural Helmholtz-Hodge decomposition (Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014).
+    """Compute the natural Helmholtz-Hodge decomposition (Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014).
 
     No boundary condition is imposed: with the Green function of the whole plane, G = log|x| / 2 pi,
 
         irrotational(x) = int_mask grad G(x - y) div f(y) dy,   solenoidal(x) = int_mask J grad G(x - y) curl f(y) dy,
 
-    J (u, v) = (-v, u), and the harmonic part is what is left. Divergence and curl are central differences, one-sided at
-    the border of the mask; the integral of grad G over each pixel is exact, and the sum is a product of Fourier
-    transforms on twice the frame, so that nothing wraps around. The error falls with the square of a pixel where
-    the border of the mask is along the grid; a staircase leaves one of first order beside it.
+    J (u, v) = (-v, u), and the harmonic part is the remainder. Divergence and curl are central differences, one-sided
+    at the border of the mask. The integral of grad G over each pixel is exact. The sum is computed by Fourier
+    transforms on twice the frame, so that nothing wraps around. The error is of second order in the pixel size where
+    the border of the mask follows the grid, and of first order beside a staircase border.
+
+    The parts do not depend on the size of a pixel, which cancels between the derivative and the integral. A pixel with
+    a non-finite value counts as outside the mask, as does one without a neighbour inside it along x or along y, which
+    has no derivative. Computed in float32 or wider.
 
     Args:
         field: (B, 2, H, W) floating, (u, v) by x to the right and y down.
         mask: (B, 1, H, W) bool, all by default; a batch of 1 serves every field.
 
-    The parts do not depend on the size of a pixel: the derivative and the integral both hold it.
-
-    A pixel with a NaN or infinite value counts as outside the mask, and so does one without a neighbour inside it
-    along x or along y, which has no derivative. Computed in float32 at least.
-
     Raises:
         TypeError: the field is not floating or the mask not bool.
-        ValueError: shapes that do not fit.
+        ValueError: shapes do not match.
     """
     _check(field, mask)
     if field.numel() == 0:
@@ -75,7 +74,7 @@ def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
 
 
 def _slope(values: Tensor, inside: Tensor, dim: int) -> Tensor:
-    """Derivative by the pixel: of second order inside, of first order where one neighbour is outside."""
+    """Return the derivative per pixel: central inside, one-sided where one neighbour is outside."""
     after, before = (_moved(values, dim, step) for step in (1, -1))
     has_after, has_before = (_moved(inside, dim, step) for step in (1, -1))
     forward, backward = torch.where(has_after, after - values, 0), torch.where(has_before, values - before, 0)
@@ -88,7 +87,7 @@ def _has_neighbour(inside: Tensor, dim: int) -> Tensor:
 
 
 def _moved(values: Tensor, dim: int, step: int) -> Tensor:
-    """What stands one pixel further along a dimension; nothing (0) beyond the frame."""
+    """Shift values so that a pixel holds its neighbour `step` pixels further along a dimension; 0 beyond the frame."""
     size = values.shape[dim]
     edge = torch.zeros_like(values.narrow(dim, 0, 1))
     if step > 0:
@@ -97,10 +96,11 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Integrals of the two components of grad G over a pixel at each distance, (2 H, 2 W), as a Fourier transform
-    wants them: those of negative distances behind the positive ones.
+    """Return the integrals of the two components of grad G over a pixel at each distance, (2 H, 2 W).
+
+    The order is that of a Fourier transform: negative distances follow the positive ones.
     """
-    # In float64 the differences of the antiderivative keep their digits at any distance that a frame has.
+    # float64 keeps the precision of the differences of the antiderivative at all distances within a frame.
     x, y = (
         torch.fft.fftfreq(2 * size, 1 / (2 * size), device=like.device, dtype=torch.float64) for size in (width, height)
     )
@@ -109,7 +109,7 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _integral(along: Tensor, across: Tensor) -> Tensor:
-    """Integral of along / (2 pi r^2) over the unit square around a place."""
+    """Return the integral of along / (2 pi r^2) over the unit square around a position."""
 
     def antiderivative(a: Tensor, b: Tensor) -> Tensor:
         return b / 2 * torch.log(a.square() + b.square()) + a * torch.atan(b / a)

@@ -1,4 +1,4 @@
-"""Sums over scattered points under a compact weight around each query: what a local fit is solved from."""
+"""Sums over scattered points with a compact weight around each query, from which a local fit is solved."""
 
 from typing import NamedTuple
 
@@ -23,10 +23,10 @@ class WeightedMoments(NamedTuple):
 def weighted_moments(
     points: Tensor, queries: Tensor, usable: Tensor, values: Tensor, noise: Tensor | None, radius: float
 ) -> WeightedMoments:
-    """The moments, at each query, of `values` v (B, N, C) and `noise` s (B, N, V) of the `usable` (B, N) points.
+    """Compute the moments at each query of `values` v (B, N, C) and `noise` s (B, N, V) of the `usable` (B, N) points.
 
-    Points (B, N, 2) and queries (B, Q, 2) are finite, and values and noise are 0 where a point is not usable; batches
-    may be 1. Works through the queries in pieces of bounded size.
+    Points (B, N, 2) and queries (B, Q, 2) must be finite, and values and noise 0 where a point is not usable; batches
+    may be 1. Queries are processed in pieces of bounded size.
     """
     geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
     shared = geometries == 1
@@ -73,9 +73,9 @@ def weighted_moments(
 
 
 class _Columns:
-    """Data (B, N, F) to be summed under a kernel (G, Q, N), giving (B, Q, F).
+    """Data (B, N, F) to be summed with a kernel (G, Q, N), giving (B, Q, F).
 
-    If one geometry serves all frames (G = 1), the frames stand side by side as columns of one matrix product.
+    If one geometry serves all frames (G = 1), the frames are concatenated as columns of one matrix product.
     """
 
     def __init__(self, data: Tensor, shared: bool) -> None:

@@ -1,1 +1,1 @@
-"""Filters of pictures: illumination, medians, splines, noise, histograms of neighbourhoods."""
+"""Image filters: illumination, medians, morphology, splines, windows, noise and quantiles."""

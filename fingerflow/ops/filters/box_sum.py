@@ -1,10 +1,10 @@
-"""Sums over square windows by doubling: additions only, so that a NaN spoils the windows that hold it and no other."""
+"""Sums over square windows by doubling: only additions, so that a NaN affects only the windows that contain it."""
 
 from torch import Tensor
 
 
 def box_sum(values: Tensor, size: int) -> Tensor:
-    """Sum of every `size` x `size` window: 4 log2(size) passes at most, in the dtype of `values`.
+    """Compute the sum of every `size` x `size` window: at most 4 log2(size) passes, in the dtype of `values`.
 
     Args:
         values: (..., H, W), H and W at least `size`.
@@ -17,7 +17,7 @@ def box_sum(values: Tensor, size: int) -> Tensor:
 
 
 def _line_sum(values: Tensor, size: int, axis: int) -> Tensor:
-    """Sum of `size` neighbours from sums of 1, 2, 4 ... neighbours: those in the binary digits of `size`."""
+    """Sum `size` neighbours from the sums of 1, 2, 4 ... neighbours that the binary digits of `size` select."""
     length = values.shape[axis] - size + 1
     total, start, span = None, 0, 1
     while True:

@@ -6,8 +6,12 @@ from fingerflow.kernels import tensors as kernels
 
 
 def halved_image(images: Tensor) -> Tensor:
-    """Means of 2 x 2 px (B, 1, H // 2, W // 2), without the last row or column of odd sizes, of images (B, 1, H, W) of
-    at least 3 x 3 px; several times as fast as torch's pooling. float64 for float64 images, else float32.
+    """Halve the resolution of images (B, 1, H, W) of at least 3 x 3 px by means of 2 x 2 px.
+
+    This is several times as fast as torch's pooling.
+
+    Returns:
+        (B, 1, H // 2, W // 2), without the last row or column of odd sizes; float64 for float64 images, else float32.
     """
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return kernels.halve(images)

@@ -1,4 +1,4 @@
-"""From camera counts to a contact signal: uneven light divided out, contact bright, one byte a pixel."""
+"""Contact signal from camera counts: normalisation by the empty glass, intensity loss, quantisation to one byte."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,16 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.ops.filters.quantile import frame_quantile
 
-# The signal of levels 0 and 255. The lower end leaves room for pixels brighter than the empty glass.
+# Signal of levels 0 and 255. The range below 0 is for pixels brighter than the empty glass.
 LEVEL_RANGE = (-0.25, 1.0)
 
 
 class NormalizedFrames(NamedTuple):
-    """`frames` (B, 1, H, W): light over that of the empty glass; `valid` (B, 1, H, W) bool: where that is known."""
+    """Frames normalised by the empty glass.
+
+    `frames` (B, 1, H, W) is the light relative to that of the empty glass; `valid` (B, 1, H, W) bool is True where this
+    quotient is known.
+    """
 
     frames: Tensor
     valid: Tensor
@@ -23,24 +27,25 @@ class NormalizedFrames(NamedTuple):
 def normalize_illumination(
     frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = LEAST_LIGHT
 ) -> NormalizedFrames:
-    """(frames - dark) / (reference - dark), where the reference, the empty glass, is lit.
+    """Compute (frames - dark) / (reference - dark) where the reference, the empty glass, is lit.
 
-    Outside the lit disc the quotient is noise over noise. A pixel is masked (valid False, quotient exactly 1 as for
-    empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile, not positive, or
-    where any input or the quotient is not finite. At the default limit of 5 % one count of camera noise on an 8-bit
-    reference of 200 counts becomes 0.1 in the quotient: already ten times the noise at full light and no better use.
+    Outside the lit disc the quotient is noise divided by noise. A pixel is masked (valid False, quotient exactly 1 as
+    for empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile or not positive,
+    or where any input or the quotient is not finite. At the default limit of 5 % one count of camera noise on an 8-bit
+    reference of 200 counts becomes 0.1 in the quotient, twenty times the noise at full light.
 
-    A saturated pixel is taken at its value, since no dtype tells the camera's white level: the quotient is too small
-    where a frame saturates (bright, never mistaken for contact) and too large where the reference does.
+    A saturated pixel is used as it is, since a dtype does not define the camera's white level. The quotient is too
+    small where a frame saturates (bright, never mistaken for contact) and too large where the reference saturates.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating, in camera counts.
         reference: (1 or B, 1, H, W), the empty glass under the same light, in the same counts.
         dark: (1 or B, 1, H, W), counts without light; None for zero.
-        minimum_illumination: least light, as a fraction of full light, at which a quotient means anything.
+        minimum_illumination: least light at which the quotient is used, as a fraction of full light.
 
     Returns:
-        `frames` float32 (float64 if any input is), `valid` bool, both (B, 1, H, W). Gradients flow where valid.
+        `frames` float32 (float64 if any input is), `valid` bool, both (B, 1, H, W). `frames` is differentiable where
+        valid.
 
     Raises:
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
@@ -58,7 +63,7 @@ def normalize_illumination(
     passed = counts - black[0] if black else counts
 
     known = _exceeds(light, least) & torch.isfinite(passed)
-    # Both branches of a where are differentiated: the masked one must be finite too.
+    # Both branches of `where` are differentiated, so the masked one must be finite too.
     quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
     valid = known & torch.isfinite(quotient)
     return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
@@ -67,16 +72,16 @@ def normalize_illumination(
 def glass_light(
     empty: Tensor, dark: Tensor | None = None, precision: torch.dtype = torch.float32
 ) -> tuple[Tensor, Tensor]:
-    """What the empty glass gives a pixel, in the counts of its frames.
+    """Return the light of the empty glass and the black level per pixel, in camera counts.
 
     Args:
-        empty: (B, 1, H, W) counts of the empty glass, one frame or a mean of several.
+        empty: (B, 1, H, W) counts of the empty glass, one frame or the mean of several.
         dark: the same without light; None for zero.
-        precision: of the result.
+        precision: dtype of the result.
 
     Returns:
-        (B, 1, H, W) light = empty - dark, 0 where the glass is not lit (as for `normalize_illumination`), and black =
-        dark, 0 where it is not finite.
+        (B, 1, H, W) each: light = empty - dark, 0 where the glass is not lit (as in `normalize_illumination` at its
+        default limit), and black = dark, 0 where it is not finite.
 
     Raises:
         ValueError: shapes that do not fit.
@@ -89,12 +94,12 @@ def glass_light(
 
 
 def _lit(light: Tensor, minimum: float) -> Tensor:
-    """Where light (B, 1, H, W) exceeds a share of the full light of its frame."""
+    """Return True where light (B, 1, H, W) exceeds a share of the full light of its frame."""
     return _exceeds(light, minimum * _full_light(light))
 
 
 def _full_light(light: Tensor) -> Tensor:
-    """(B,) of light (B, 1, H, W)."""
+    """Return the full light (B,), a high quantile, of light (B, 1, H, W)."""
     step = max(1, min(light.shape[-2:]) // PIXELS_OF_LIGHT)
     return frame_quantile(light.detach()[..., ::step, ::step], FULL_LIGHT).to(light.dtype)
 
@@ -104,14 +109,14 @@ def _exceeds(light: Tensor, least: Tensor) -> Tensor:
 
 
 def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:
-    """How much light a pixel has lost: 1 - quotient, or first quotient - quotient; contact is bright.
+    """Compute the relative intensity loss per pixel, 1 - quotient or first quotient - quotient; contact is bright.
 
     Args:
         normalized: quotients (B, 1, H, W) of `normalize_illumination`.
-        first: the same at the first instant of contact, (1 or B, 1, H, W), where the signal is to be relative to it.
+        first: quotients (1 or B, 1, H, W) at the first instant of contact, for a signal relative to it.
 
     Returns:
-        (B, 1, H, W): 0 for no change and wherever either side is masked, 1 for intensity lost altogether.
+        (B, 1, H, W): 0 for no change and where either quotient is masked, 1 for a complete loss of intensity.
     """
     if first is None:
         return 1 - normalized.frames
@@ -119,14 +124,14 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
 
 
 def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
-    """The contact signal in one byte: level = round(255 (signal - low) / (high - low)), saturating.
+    """Quantise the contact signal to one byte: level = round(255 (signal - low) / (high - low)), saturating.
 
-    One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel; the median and
-    Otsu's threshold run on it. `low` leaves room for pixels brighter than the empty glass.
+    One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel. The median and Otsu's
+    threshold are computed from levels. A negative `low` keeps pixels brighter than the empty glass in range.
 
     Args:
         signal: any shape, floating. NaN becomes level 0, infinities saturate.
-        low, high: the values of levels 0 and 255.
+        low, high: signal of levels 0 and 255.
 
     Returns:
         uint8 of the same shape.
@@ -139,7 +144,7 @@ def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RA
 
 
 def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
-    """The contact signal of a level, the inverse of `quantize`: for a threshold found on quantised frames.
+    """Return the contact signal of levels, the inverse of `quantize`, for example of a threshold on quantised frames.
 
     Args:
         levels: any shape, uint8 or floating; NaN stays NaN.
@@ -153,7 +158,7 @@ def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_
 
 
 def check_images(images: list[Tensor], minimum_illumination: float) -> None:
-    """Raises ValueError where frames, reference and dark, in this order, or the limit do not fit."""
+    """Raise ValueError if the shapes of frames, reference and dark (in this order) or the limit are not valid."""
     if not 0 <= minimum_illumination < 1:
         raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
     frames = images[0]
@@ -167,7 +172,10 @@ def check_images(images: list[Tensor], minimum_illumination: float) -> None:
 
 
 def levels_per_unit(low: float, high: float) -> float:
-    """Levels that a unit of the signal spans where `low` and `high` are levels 0 and 255."""
+    """Return the number of levels per unit of the signal if `low` and `high` are levels 0 and 255.
+
+    Raises ValueError if `high` is not above `low`.
+    """
     if not low < high:
         raise ValueError(f"levels 0 to 255 cannot span {low} to {high}: high must be above low")
     return 255 / (high - low)

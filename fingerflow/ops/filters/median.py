@@ -1,4 +1,4 @@
-"""The exact median of every window."""
+"""Exact median filter."""
 
 import functools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from fingerflow.kernels.median_network import MedianProgram, Operand, Step, medi
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
-LARGEST_TRACED = 11  # px, of a window whose network a compiler takes apart
+LARGEST_TRACED = 11  # px, largest window whose network a compiler traces
 
 _DTYPES = (
     torch.uint8,
@@ -29,7 +29,7 @@ _DTYPES = (
 
 
 def median_filter(frames: Tensor, size: int = 9) -> Tensor:
-    """Median of the `size` x `size` window around each pixel, by the shared network of `median_network`.
+    """Return the median of the `size` x `size` window around each pixel, by the shared network of `median_network`.
 
     Args:
         frames: (B, 1, H, W), 8 to 64 bit signed integers, uint8, uint16 or floating. A frame may be smaller than the
@@ -39,8 +39,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     Returns:
         (B, 1, H, W) of the same dtype, at each pixel one of the input values. Outside the frame the nearest pixel
         counts (`replicate`, as in OpenCV's medianBlur and SciPy's mode "nearest"). For floating frames the result is
-        NaN exactly where the window holds a NaN; infinities are ordered as numbers. The gradient goes to the pixel
-        that is the median and is shared between equal ones. Exports with a fixed frame size.
+        NaN exactly where the window holds a NaN; infinities are ordered as numbers. The gradient belongs to the pixel
+        that is the median and is shared between equal ones. The op exports with a fixed frame size.
 
     Raises:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
@@ -70,7 +70,7 @@ def _by_network(frames: Tensor, size: int) -> Tensor:
 
 @kernels.constant_to_compiler
 def _planned(size: int) -> tuple[int, tuple[int, int], tuple[Any, ...], tuple[Any, ...]]:
-    """`median_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
+    """Return `median_program` as plain tuples: a compiler accepts only those as constants, and must not trace it."""
     program = median_program(size)
     return size, program.tile, tuple(map(tuple, program.steps)), tuple(map(tuple, program.outputs))
 
@@ -81,7 +81,7 @@ def _alike(frames: Tensor, size: int) -> Tensor:
 
 @torch_op(shapes=_alike)
 def large_median(frames: Tensor, size: int) -> Tensor:
-    """`median_filter` kept whole by a compiler: thousands of minima and maxima take it minutes."""
+    """Compute `median_filter` as one op for a compiler, which needs minutes for thousands of minima and maxima."""
     return _by_network(frames, size).contiguous()
 
 
@@ -93,7 +93,7 @@ def _check(frames: Tensor, size: int) -> None:
 
 
 def _of_rows(frames: Tensor, size: int) -> Tensor:
-    """As `_run`, on planes of rows: only whole lines move, which an unfused runtime copies in one piece."""
+    """Run the network as `_run` does, on planes of whole rows, which an unfused runtime copies in one piece."""
     program = _rows_program(size)
     batch, _, height, width = frames.shape
     rows, half = program.tile[0], size // 2
@@ -118,7 +118,7 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Interpret the program on flat planes, one a phase of the tile; each step is one pass over contiguous memory."""
+    """Run the program on flat planes, one per pixel of the tile; each step is one pass over contiguous memory."""
     batch, _, height, width = frames.shape
     (rows, columns), (down, right) = program.tile, program.reach
     tiles_y, tiles_x = (height + rows - 1) // rows, (width + columns - 1) // columns
@@ -145,26 +145,28 @@ def run_network(
     *,
     views: bool = True,
 ) -> list[Tensor]:
-    """The outputs of a program, `MedianProgram` or `join_program`.
+    """Compute the outputs of a program of minima and maxima, from `MedianProgram` or `join_program`.
 
     Args:
-        planes: the inputs, all of one shape; flat where the program shifts them: rows of `columns` tiles, frame after
-            frame.
-        views: read a shifted plane as a view, the shorter the further it is shifted. Where nothing is a view, in an
-            exported graph, planes of different lengths cost a copy whenever two meet: False keeps them all at one.
+        steps, outputs: of the program.
+        planes: the inputs, all of one shape. They are flat where the program shifts them: rows of `columns` tiles,
+            frame after frame.
+        columns: tiles per row.
+        views: read a shifted plane as a view, which is shorter by the shift. False keeps all planes at one length: an
+            exported graph has no views, and combining planes of different lengths costs a copy there.
 
     Returns:
-        Planes of that shape; beyond the last window of a line or frame they hold nothing of meaning.
+        Planes of that shape; their values beyond the last window of a line or frame have no meaning.
     """
-    # A shift of whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
-    # only where no window begins. Planes are dropped after their last use, so that few are alive.
+    # A shift by whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
+    # only where no window begins. Planes are dropped after their last use to save memory.
     cells = planes[0].shape[0]
     known = dict(enumerate(planes))
     lengths = dict.fromkeys(known, cells)
     pair, first, second, length = None, planes[0], planes[0], cells
     for operation, result, left, right, rows, shift, released in steps:
         offset = rows * columns + shift
-        if pair != (left, right, offset):  # minimum and maximum of the same two mostly follow each other
+        if pair != (left, right, offset):  # mostly the maximum of the same two planes follows their minimum
             pair = (left, right, offset)
             first, second = known[left], known[right]
             if not views:
@@ -183,5 +185,5 @@ def run_network(
 
 
 def _ahead(plane: Tensor, offset: int, lack: int) -> Tensor:
-    """A flat plane read so many places further on, longer by what it lacks."""
+    """Return a flat plane shifted forward by `offset` and lengthened by `lack` elements, zeros at its end."""
     return functional.pad(plane, (-offset, offset + lack)) if offset or lack else plane

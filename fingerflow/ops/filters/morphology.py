@@ -12,11 +12,11 @@ Shape = Literal["disc", "diamond"]
 
 
 def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
-    """Every pixel within `radius` of the mask.
+    """Dilate a mask: return every pixel within `radius` of it.
 
     The disc holds the offsets with dx^2 + dy^2 <= radius^2, the diamond those with |dx| + |dy| <= radius. Each row of
-    either is one run, so a dilation is a union of horizontally widened masks shifted up and down: about 3 radius
-    passes for all of them.
+    either is one run, so a dilation is a union of horizontally widened masks shifted up and down: about 3 radius passes
+    in total.
 
     Args:
         mask: (B, 1, H, W) bool; outside the frame is background.
@@ -46,10 +46,10 @@ def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
-    """Every pixel whose whole neighbourhood lies in the mask.
+    """Erode a mask: return every pixel whose neighbourhood within the frame lies in the mask.
 
-    Outside the frame nothing is known, so it takes nothing away (as in OpenCV): contact that the frame cuts off is not
-    eroded from that side. This makes erosion the complement of the dilated background.
+    Pixels outside the frame do not erode (as in OpenCV): contact cut off by the frame keeps its extent on that side.
+    Erosion is therefore the complement of the dilated background.
 
     Args, returns, raises: as `dilate`.
     """
@@ -60,7 +60,7 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
-    """Half width of each row of the shape, from -radius to radius."""
+    """Return the half width of each row of the shape, from -radius to radius; check the arguments of `dilate`."""
     if mask.dtype != torch.bool:
         raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
     if mask.ndim != 4 or mask.shape[1] != 1:
@@ -76,7 +76,7 @@ def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
 
 
 def _widen(mask: Tensor, by: int) -> Tensor:
-    """Widen each run by `by` pixels to both sides, doubling the reach of every pass."""
+    """Widen each run by `by` pixels to both sides; each pass doubles the reach."""
     covered = 0
     while covered < by:
         step = min(covered + 1, by - covered)

@@ -1,4 +1,4 @@
-"""Quantiles of whole frames by counting, without a sort: any device, exact for uint8, exportable."""
+"""Quantiles of whole frames by counting, without sorting: on any device, exact for uint8, exportable."""
 
 import torch
 from torch import Tensor
@@ -9,18 +9,18 @@ _HALVINGS = 24
 
 
 def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
-    """The smallest value that at least this fraction of a frame's finite pixels do not exceed.
+    """Return the smallest value that at least this fraction of a frame's finite pixels do not exceed.
 
-    uint8 is read from its histogram. For other types each step halves the interval that holds the value and counts the
-    pixels up to its middle.
+    The quantile of uint8 is read from the histogram. For other dtypes a bisection counts the pixels up to the middle of
+    the interval that contains the value.
 
     Args:
         frames: (B, 1, H, W) integers of 8 to 32 bit or floating.
         fraction: 0 to 1; 0 gives the smallest finite value, 1 the largest.
 
     Returns:
-        (B,) float64. Exactly one of the pixel values for integers of up to 16 bit. For others it may lie above the
-        exact quantile by 2^-24 of the frame's range. NaN for a frame without a finite pixel.
+        (B,) float64. For integers of up to 16 bit it is exactly one of the pixel values. For other dtypes it may exceed
+        the exact quantile by 2^-24 of the frame's range. NaN for a frame without a finite pixel.
 
     Raises:
         ValueError: `fraction` lies outside 0 to 1 or `frames` is not (B, 1, H, W).
@@ -37,11 +37,10 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
 
 
 def median_of_counts(counts: Tensor) -> Tensor:
-    """Median (B,) of integers from their histogram (B, bins), 0 the value of the first bin; NaN if empty. float64, or
-    the type of floating counts.
+    """Compute the median (B,) of rounded values from their histogram (B, bins), whose first bin has the value 0.
 
-    Values are taken to be spread evenly over the unit around each integer, as rounding left them: a median between
-    two integers, free of their steps.
+    Values are assumed to be spread evenly over the unit around each integer, so the median is not quantised. NaN for an
+    empty histogram; float64, or the dtype of floating counts.
     """
     counts = counts if counts.is_floating_point() else counts.double()
     total = counts.sum(1, keepdim=True)
@@ -67,7 +66,7 @@ def _by_halving(values: Tensor, fraction: float) -> Tensor:
     wanted = (present.double() * fraction).ceil().clamp(min=1)
     lowest = torch.where(finite, values, torch.inf).amin(1, keepdim=True).double()
     high = torch.where(finite, values, -torch.inf).amax(1, keepdim=True).double()
-    # What is not finite is never counted below a middle.
+    # Non-finite pixels never count as lying below a limit.
     counted = values if whole else torch.where(finite, values, torch.inf)
 
     def enough(limit: Tensor) -> Tensor:
@@ -79,6 +78,6 @@ def _by_halving(values: Tensor, fraction: float) -> Tensor:
         middle = middle.floor() if whole else middle
         reached = enough(middle)
         low, high = torch.where(reached, low, middle), torch.where(reached, middle, high)
-    if not whole:  # the smallest value itself is never a middle
+    if not whole:  # the bisection approaches the smallest value only from above
         high = torch.where(enough(lowest), lowest, high)
     return torch.where(present > 0, high, torch.nan).squeeze(1)

@@ -1,14 +1,15 @@
-"""The interpolant of tracking: uniform B-splines of order 1 or 3 on binomially smoothed samples.
+"""Interpolant for tracking: uniform B-splines of order 1 or 3 on binomially smoothed samples.
 
 An image is represented as S(x, y) = sum_kl c[l, k] b(x - k) b(y - l), b the centred B-spline. The coefficients c are
-the samples smoothed once by [1 2 1]/4 in x and y; there is no inverse filter, so S is the image seen through one fixed
-low-pass. Both images of a pair are seen through the same one, therefore their shift is unchanged, and two things are
-gained over an exact interpolant (measured by ``python -m bench interpolant``):
+the samples smoothed once by [1 2 1]/4 in x and y. There is no inverse filter, so S is the image after one fixed
+low-pass filter. It is the same for both images of a pair and therefore does not change their shift. It has two
+advantages over an exact interpolant (measured by ``python -m bench interpolant``):
 
 - With exact cubic interpolation the noise of the template and of its own gradient correlate at fractional positions.
-  That pulls the estimate: 0.04 px at noise of 2 grey levels, 0.26 px at 5 on ridge texture. The low-pass removes it.
-- The gradient carries 1/30 of the noise's variance and less, so the estimate stays at the Cramer-Rao bound at 5 grey
-  levels, and no recursive filter has to run over the frame.
+  That biases the estimate: 0.04 px at noise of 2 grey levels, 0.26 px at 5 on ridge texture. The low-pass removes the
+  bias.
+- The gradient has at most 1/30 of the noise variance. The estimate stays at the Cramer-Rao bound at 5 grey levels, and
+  no recursive filter has to run over the frame.
 """
 
 import torch
@@ -19,7 +20,7 @@ from fingerflow.kernels import tensors as kernels
 
 
 def spline_coefficients(images: Tensor) -> Tensor:
-    """Spline coefficients of ``images``, for both orders.
+    """Compute the spline coefficients of ``images``, for both orders.
 
     Args:
         images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the image is mirrored about its
@@ -37,7 +38,7 @@ def spline_coefficients(images: Tensor) -> Tensor:
 
 
 def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
+    """Compute the weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
 
     Args:
         fraction: position minus its floor, any shape, in [0, 1).
@@ -49,7 +50,7 @@ def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tu
     rest = 1 - fraction
     if order == 1:
         return (rest, fraction), (-torch.ones_like(fraction), torch.ones_like(fraction))
-    # The four pieces of the cubic B-spline (Unser 1999), which at the two ends are b3(1 + t) and b3(2 - t).
+    # The four pieces of the cubic B-spline (Unser 1999), from b3(1 + t) at one end to b3(2 - t) at the other.
     square, rest_square = fraction * fraction, rest * rest
     value = (
         rest_square * rest / 6,

@@ -1,4 +1,4 @@
-"""Medians at one pixel in many: what a threshold is measured from, without the medians between."""
+"""Median filter sampled with a stride, for threshold estimation; medians between the samples are not computed."""
 
 from typing import Any
 
@@ -9,18 +9,21 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import join_program
 from fingerflow.ops.filters.median import median_filter, run_network
 
-# A window of its own takes up to 7 times the operations of one that shares them with all its neighbours.
+# Step in px from which windows are computed independently: each then takes up to 7 times the operations of a window
+# that shares them with its neighbours.
 _OWN_WINDOWS = 3
 
 
 def median_at(frames: Tensor, size: int, step: int) -> Tensor:
-    """Every `step`-th median of every `step`-th line: `median_filter(frames, size)[..., ::step, ::step]`.
+    """Compute every `step`-th median of every `step`-th line: `median_filter(frames, size)[..., ::step, ::step]`.
 
-    The columns of all windows are sorted at once, then one half of each window's columns is merged with the other
-    half, those of all windows at once again, until one is left.
+    The columns of all windows are sorted in one batch. Then one half of each window's columns is merged with the other
+    half, again in one batch, until one column is left.
 
     Args:
-        frames: (B, 1, H, W) of any type that has a minimum; the nearest pixel beyond the border.
+        frames: (B, 1, H, W) of any dtype with a minimum. Beyond the border the nearest pixel counts.
+        size: window side in pixels, odd.
+        step: px.
 
     Returns:
         (B, 1, ceil(H / step), ceil(W / step)).
@@ -38,7 +41,7 @@ def median_at(frames: Tensor, size: int, step: int) -> Tensor:
 
 
 def _window_places(side: int, size: int, step: int, device: torch.device) -> Tensor:
-    """(size, places): where the first, second, ... pixels of the windows lie, those beyond the border at the border."""
+    """Return the indices (size, windows) of the window pixels along one axis, clamped to the frame."""
     middle = torch.arange(0, side, step, device=device)
     return (torch.arange(size, device=device)[:, None] - size // 2 + middle).clamp(0, side - 1)
 
@@ -52,7 +55,7 @@ def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
 
 
 def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]:
-    """Columns side by side in axis 1, of `count` pixels each, to one."""
+    """Merge the columns along axis 1, of `count` pixels each, into one."""
     width = columns[0].shape[1]
     if width == 1:
         return columns
@@ -73,6 +76,6 @@ def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_co
 
 @kernels.constant_to_compiler
 def _planned(size: int, first: int, second: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """`join_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
+    """Return `join_program` as plain tuples: a compiler accepts only those as constants, and must not trace it."""
     steps, outputs = join_program(size, first, second)
     return tuple(map(tuple, steps)), tuple(map(tuple, outputs))

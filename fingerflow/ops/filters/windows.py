@@ -1,6 +1,6 @@
 """Square windows around points: cut from the pixel grid, or sampled from the spline at fractional and warped positions.
 
-Everything here is flat: P points of any mixture of images, each with the index of its image.
+Points are passed as one flat list of P points from any of the images, each with the index of its image.
 """
 
 import torch
@@ -13,12 +13,13 @@ _POINTS_AT_A_TIME = 128
 
 
 def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
-    """Windows of ``size`` x ``size`` pixels.
+    """Cut windows of ``size`` x ``size`` pixels from images.
 
     Args:
         images: (B, 1, H, W).
-        image_index: (P,) int64, which image a point lies in.
-        corner: (P, 2) int64 (x, y) of the first pixel. Pixels beyond the border repeat the border.
+        image_index: (P,) int64, the image of each point.
+        corner: (P, 2) int64 (x, y) of the first pixel. Beyond the border the nearest pixel counts.
+        size: px.
 
     Returns:
         (P, size, size) as (row, column).
@@ -31,7 +32,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
         column = (corner[:, 0, None] + size).clamp(0, width + size)
         first = (row + image_index[:, None] * height) * wide.shape[3] + column
         return lines_of(wide, first, size)
-    # The derivative of that view would be ``size`` times as large as the image.
+    # The gradient of the view in `lines_of` would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
     return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
 
@@ -39,13 +40,13 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
 def sample_windows(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The spline and its gradient on a window around each point.
+    """Evaluate the spline and its gradient on a window around each point.
 
     Args:
         coefficients: (B, 1, H, W) from :func:`~fingerflow.ops.filters.spline.spline_coefficients`.
         image_index: (P,) int64.
         points: (P, 2) (x, y) in px, finite.
-        size: odd number of samples a side.
+        size: odd number of samples per side.
         order: spline order, 1 or 3.
         warp: (P, 2, 2) A; samples lie at ``point + A w`` instead of ``point + w``, w the integer window offsets.
 
@@ -67,7 +68,7 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """``size`` weighted sums of neighbours along ``dim``; weights (P, taps) differ from point to point."""
+    """Compute ``size`` weighted sums of neighbours along ``dim``, with weights (P, taps) per point."""
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):
@@ -78,9 +79,9 @@ def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
 def _sample_warped(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Positions that do not form a pixel grid have no common fraction, so every sample has weights of its own."""
+    """Sample warped windows; their positions have no common fraction, so every sample has its own weights."""
     flat = coefficients.reshape(-1)
-    # Few points at a time: their weights then stay in the cache.
+    # Few points at a time, so that their weights stay in the cache.
     pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
     sampled = [
         _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
@@ -96,22 +97,22 @@ def _sample_piece(
     height, width = shape[-2:]
     half = size // 2
     offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
-    # (P, size, size) positions from the pixel nearest to the point: in the frame they have two digits less. The
+    # (P, size, size) positions relative to the pixel nearest to the point: absolute ones would lose two digits. The
     # rows of a window are y, its columns x.
     center = points.detach().round()[..., None, None]
     (at_x, at_y), (pixel_x, pixel_y) = (points[..., None, None] - center).unbind(1), center.unbind(1)
     x = at_x + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
     y = at_y + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
     first, last = (1 - order) // 2, (order + 1) // 2
-    # Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
+    # Clamp to where all taps exist; a window that reaches beyond the frame is discarded anyway.
     whole_x = (x.detach().floor() + pixel_x).clamp(-first, width - 1 - last)
     whole_y = (y.detach().floor() + pixel_y).clamp(-first, height - 1 - last)
-    # Beyond the frame, where a cubic would grow, the border is repeated.
+    # Beyond the frame, where a cubic would diverge, the border value is repeated.
     weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(first, last), order)
     weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(first, last), order)
     image = image_index[:, None, None] * height
     index = (whole_y.long() + first + image) * width + (whole_x.long() + first)
-    # Less the pixel in the middle, so that what is flat has no slope in any precision.
+    # Subtract the central pixel, so that a constant window has exactly zero gradient in any precision.
     middle = (pixel_y.clamp(0, height - 1).long() + image) * width + pixel_x.clamp(0, width - 1).long()
     level = taken(flat, middle)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
@@ -136,7 +137,7 @@ def _sample_piece(
 
 
 def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
-    """Lines (..., length) of planes in memory order, from the numbers of their ``first`` pixels (...), int64.
+    """Return lines (..., length) of planes from the flat indices of their ``first`` pixels, (...) int64.
 
     Whole lines are copied ten times as fast as single pixels are gathered.
     """
@@ -147,8 +148,8 @@ def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` (P, ...) says."""
-    if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
+    """Return the elements (P, ...) of flat (M,) at ``index`` + ``later``, with indices (P, ...)."""
+    if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
-    # The same index from a later start; `take` and indexing need four times as long.
+    # A shifted view needs no new index; `take` and indexing need four times as long.
     return flat[later:].index_select(0, index.flatten()).reshape(index.shape)

@@ -1,1 +1,1 @@
-"""Dense optical flow of a picture."""
+"""Dense optical flow between two images."""

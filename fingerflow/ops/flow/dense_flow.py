@@ -4,24 +4,24 @@ It minimises, over the pixels x of a mask,
 
     sum_x K * (a S_f - S_g(x + w) + b)^2 + alpha |grad (w - M w)|^2
 
-(Bruhn, Weickert, Schnoerr, IJCV 61(3), 2005): K integrates the data term over a window (J_rho), which noise and the
-aperture problem ask for, alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both
-images are seen through one low-pass. Departures from the paper:
+(Bruhn, Weickert, Schnoerr, IJCV 61(3), 2005). K integrates the data term over a window (J_rho), against noise and the
+aperture problem; alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both images
+pass the same low-pass filter. Departures from the paper:
 
-- What is smoothed is the departure of w from its own course M w: the plane that fits it best and, beside that, planes
-  fitted around every place over some two periods of ridges. With |grad w|^2 a finger that widens evenly is pulled flat
-  at the border of the mask, and a wave of 300 px loses 3 % of its height; so noise could be averaged over a few pixels
-  only. On ridges with 2 grey levels of noise the error falls from 0.027 to 0.019 px (0.016 to 0.012 where ridges run in
-  all directions).
-- The image is warped and linearised about the latest w with the gradient of the *first* image, which the warped one has
-  to equal: J and its pyramid belong to the first image and are prepared once for all that follow. The fixed point,
-  K * (grad S_f r) = alpha L (w - M w), does not depend on how it is reached.
-- Gain a and offset b of the light are fitted over the mask.
-- Both terms are quadratic, as written, or Charbonnier's (`ops.flow.flow_penalty`); what is constant is the grey level,
-  as written, or its gradient (`ops.flow.flow_constancy`).
-- Images are halved for a start from nothing only as far as texture stands out of the noise. On ridges that reaches no
-  further, as they have no energy below one period in 20 px: motion of more than a quarter of a period needs
-  ``initial``: the frame before, tracked points, a search.
+- The smoothness term penalises the departure of w from its own trend M w (`ops.flow.flow_course`). M w is the plane
+  that fits w best, plus planes fitted to the remainder around every position over some two periods of ridges. With
+  |grad w|^2, a finger that widens evenly is flattened at the border of the mask, and a wave of 300 px loses 3 % of its
+  height. Noise could then be averaged over a few pixels only. On ridges with 2 grey levels of noise the error falls
+  from 0.027 to 0.019 px (0.016 to 0.012 where ridges run in all directions).
+- The image is warped and linearised about the latest w with the gradient of the *first* image, which that of the warped
+  one must equal. J and its pyramid thus belong to the first image and are prepared once for all later images. The fixed
+  point, K * (grad S_f r) = alpha L (w - M w), does not depend on how it is reached.
+- Gain a and offset b of the illumination are fitted over the mask.
+- Both terms are quadratic, as written, or Charbonnier's (`ops.flow.flow_penalty`). The constant quantity is the grey
+  level, as written, or its gradient (`ops.flow.flow_constancy`).
+- For a cold start, images are halved only as far as texture exceeds the noise. Ridges have no energy at frequencies
+  below one period in 20 px, so halving extends the reach no further. Motion of more than a quarter of a period needs
+  `initial`, from the frame before, tracked points or a search.
 """
 
 from typing import Any, NamedTuple
@@ -54,9 +54,9 @@ from fingerflow.ops.flow.flow_multigrid import Level, edges, halved_edges, pyram
 from fingerflow.ops.flow.flow_penalty import Penalty, check_penalty, data_weights, mean_edge_weight, weighted_levels
 from fingerflow.ops.tensors import finite
 
-_ROUNDING = 1 / 12  # variance that whole grey levels have against the light
+_ROUNDING = 1 / 12  # variance of rounding to integer grey levels
 _CYCLES = 3  # of multigrid after the last warp
-_MARGIN = 2  # px at the border of an image, where its spline takes pixels that are not there
+_MARGIN = 2  # px at the border of an image, where its spline needs pixels beyond it
 _SMALLEST_SIDE = 32  # px, of a halved image
 _TINY = 1e-12
 
@@ -65,15 +65,15 @@ class Flow(NamedTuple):
     """Displacement field of B pairs of images.
 
     Attributes:
-        displacement: (B, 2, H, W) px as (u, v), where what stands at each pixel of the first image has moved to; NaN
-            outside the mask, and where that lies outside the current image.
-        covariance: (B, 2, 2, H, W) px^2, of the noise of both images; NaN as the displacement, and where the texture
-            does not stand out of the noise in any direction: there the displacement is that of the surroundings. What
-            smoothing takes off the motion comes on top: nothing to speak of where ridges run in all directions, once
-            more the deviation where they run in one.
-        residual: (B, 1, H, W) grey levels, root mean square over the window of what displacement and light left
-            unexplained before the last step; NaN as the displacement. Noise alone leaves 0.42 of its deviation (0.84
-            where the gradient is constant).
+        displacement: (B, 2, H, W) px as (u, v), of the skin at each pixel of the first image; NaN outside the mask, and
+            where the displaced pixel lies outside the current image.
+        covariance: (B, 2, 2, H, W) px^2, due to the noise of both images. NaN where the displacement is, and where
+            the texture does not exceed the noise in any direction: there the displacement is that of the surroundings.
+            The bias due to smoothing comes on top: negligible where ridges run in all directions, as large as the
+            standard deviation where they run in one.
+        residual: (B, 1, H, W) grey levels, root mean square over the window of what displacement and illumination left
+            unexplained before the last step; NaN where that is. Noise alone leaves 0.42 of its standard deviation
+            (0.84 for constant gradient).
     """
 
     displacement: Tensor
@@ -82,19 +82,19 @@ class Flow(NamedTuple):
 
 
 class FlowTemplate(NamedTuple):
-    """What the flow needs to know of the first image (B, 1, H, W): `prepare_flow`."""
+    """Data of the first image (B, 1, H, W) that the flow needs, from `prepare_flow`."""
 
-    value: Tensor  # (C B, 1, H, W) splines of what is constant, at the pixels
+    value: Tensor  # (C B, 1, H, W) splines of the constant quantities, at the pixels
     gradient: Tensor  # (C B, 2, H, W), 0 outside the mask
     inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
     levels: list[Level]
-    products: Tensor  # (B, 3, h, w) of the slopes, xx, xy, yy: means over cells, J without its windows
+    products: Tensor  # (B, 3, h, w) of the slopes, xx, xy, yy: means over cells, J before integration over windows
     variance: Tensor  # (B,) of the noise
     roughness: float
     constancy: Constancy
-    covariance: Tensor | None  # (B, 3, h, w) xx, xy, yy on cells, for a gain of 1; None of a halved image
+    covariance: Tensor | None  # (B, 3, h, w) xx, xy, yy on cells, at a gain of 1; None for a halved image
     weights: list[float]  # of the window, on cells
-    coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
+    coarser: "FlowTemplate | None"  # of the halved image, for a cold start; None if too small or without texture
 
 
 def dense_flow(
@@ -110,30 +110,30 @@ def dense_flow(
     penalty: Penalty = "quadratic",
     constancy: Constancy = "brightness",
 ) -> Flow:
-    """Displacement of every pixel from one image to another.
+    """Compute the displacement of every pixel from one image to another.
 
     Args:
         first, current: (B, 1, H, W), 8 to 16 bit or floating.
-        initial: (B, 2, H, W) px, within a quarter of a ridge's period of the truth. Where it is not
-            finite it counts as 0. By default it is found in the halved images, from 0.
-        mask: (B, 1, H, W) bool of the pixels of ``first`` that belong to the skin; all by default. Nothing outside it
-            has any influence but through the windows' spline.
-        box: px; the data term is integrated by two boxes of this side, one after the other.
-        roughness: expected root mean square of the gradient of what the displacement has beside its own course. Smaller
-            is smoother.
-        warps: how often the current image is warped, and each halved one; a warm start needs 1, a start from nothing 2,
+        initial: (B, 2, H, W) px, within a quarter of a ridge's period of the truth. Non-finite values count as 0. By
+            default it is computed from the halved images, starting at 0.
+        mask: (B, 1, H, W) bool of the pixels of `first` that belong to the skin; all by default. Pixels outside it
+            affect the result only through the support of the spline.
+        box: px; the data term is integrated by two successive boxes of this side.
+        roughness: expected root mean square of the gradient of the displacement's departure from its trend. Smaller is
+            smoother.
+        warps: number of warps of the current image, and of each halved one. A warm start needs 1, a cold start 2,
             motion of a quarter of a period 3.
-        noise: (B,) standard deviation of white noise, grey levels; estimated from ``first`` by default.
-        penalty: of both terms. "charbonnier" is for what does not follow the skin (dust on the glass: less than half of
-            the error) and for jumps of the motion (at 1.5 px, with five warps, 0.6 of it); elsewhere errors are within
-            2 % of "quadratic", and it takes twice the time. It asks for one more warp, at a jump for three. The
-            covariance is then that of the weighted system with its weights as they are.
-        constancy: "gradient" holds the gradient of grey levels constant in place of these, for light that differs from
-            place to place: on Dimetrodon half of the error, under even light and noise a fifth more on ridges in all
-            directions, and two to three times as much at dust.
+        noise: (B,) standard deviation of white noise, grey levels; estimated from `first` by default.
+        penalty: of both terms. "charbonnier" is for objects that do not move with the skin (dust on the glass: less
+            than half of the error) and for jumps of the motion (at 1.5 px, with five warps, 0.6 of it). Elsewhere
+            errors are within 2 % of "quadratic". It takes twice the time, and needs one more warp, or three at a jump.
+            The covariance is then that of the weighted system, with its weights taken as fixed.
+        constancy: "gradient" assumes that the gradient of the grey levels is constant instead of the grey levels, for
+            illumination changes that vary in space. On Dimetrodon it halves the error. Under even light and noise, the
+            error is a fifth larger on ridges in all directions, and two to three times as large at dust.
 
     Raises:
-        ValueError: shapes that do not fit, or a setting out of range.
+        ValueError: shapes do not match, or a setting is out of range.
     """
     check_penalty(penalty)
     check_constancy(constancy)
@@ -161,7 +161,7 @@ def whole_flow(
     robust: bool,
     of_gradient: bool,
 ) -> Flow:
-    """`dense_flow`, whose arguments these are: how often the images are halved depends on them."""
+    """Compute `dense_flow`, with its arguments, as one operator: the number of halved images depends on data."""
     constant: Constancy = "gradient" if of_gradient else "brightness"
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise, constancy=constant)
     return find_flow(template, current, initial, warps, "charbonnier" if robust else "quadratic")
@@ -176,7 +176,7 @@ def prepare_flow(
     noise: Tensor | None = None,
     constancy: Constancy = "brightness",
 ) -> FlowTemplate:
-    """What `find_flow` needs to know of a first image; arguments as for `dense_flow`."""
+    """Compute the data of a first image that `find_flow` needs; arguments as for `dense_flow`."""
     _check_image("first", first, first)
     if mask is not None and (mask.shape != first.shape or mask.dtype != torch.bool):
         raise ValueError(f"mask must be bool {tuple(first.shape)}, not {mask.dtype} {tuple(mask.shape)}")
@@ -197,12 +197,15 @@ def prepare_flow(
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> tuple[FlowTemplate, Tensor]:
-    """Of a floating image, and of the halved ones while their texture lasts, without covariance; and J."""
+    """Prepare a floating image and its halved ones, while their texture exceeds the noise; also return J of the image.
+
+    The templates have no covariance.
+    """
     given = channels(spline_coefficients(first), constancy)
     count = len(given) // len(first)
     fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
     value, gradient = fields.value, fields.gradient
-    # What one channel does not know, none does.
+    # A pixel that is unknown in one channel is unknown in all.
     inside, known, *between = (_least(one, count) for one in (fields.inside, *fields[4:]))
     products = _sum(fields.tensor, count)
     weights = window(max(box / CELL, 1.0))
@@ -213,7 +216,7 @@ def _prepared(
     lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * of_noise).all()
     coarser = None
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
-        # A mean of four has a fourth of the noise. Where one of the four is not known it is not either.
+        # A mean of four has a fourth of the noise variance, and is unknown where one of the four is.
         all_known = (halved_image(inside) == 1).to(inside.dtype)
         coarser, _ = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
     right, down = (alpha * one for one in between)
@@ -225,7 +228,7 @@ def _prepared(
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Of so many channels (C B, ...), the least (B, ...)."""
+    """Return the minimum (B, ...) over `count` channels (C B, ...)."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -234,25 +237,28 @@ def _sum(fields: Tensor, count: int) -> Tensor:
 
 
 def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
-    """Eigenvalue (B,) of J that noise alone has."""
+    """Return the eigenvalue (B,) of J for noise alone."""
     return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
-    """alpha (B, 1, 1, 1)."""
+    """Return the smoothing weight alpha (B, 1, 1, 1)."""
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
 def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
-    """What the spline of a first image and its mask (B, 1, H, W), 1 or 0, tell beside the windows."""
+    """Compute the fields of a first image before integration over windows.
+
+    `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
+    """
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
         return kernels.flow_template(coefficients, mask, _MARGIN)
     usable = finite(coefficients)
-    # The spline at a pixel takes its neighbours' coefficients.
+    # The spline at a pixel needs its neighbours' coefficients.
     inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
     clean = torch.where(usable, coefficients, 0.0)
     still = clean.new_zeros(len(clean), 2, *clean.shape[-2:])
-    value = _sampled(clean, still)  # as `find_flow` has it: what does not move leaves nothing
+    value = _sampled(clean, still)  # computed as in `find_flow`, so that zero motion leaves no residual
     gradient = _slopes(clean) * _arrives(still, inside, _MARGIN)
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
@@ -267,7 +273,7 @@ def find_flow(
     warps: int = 2,
     penalty: Penalty = "quadratic",
 ) -> Flow:
-    """The flow from a prepared first image to a current one; arguments as for `dense_flow`."""
+    """Compute the flow from a prepared first image to a current one; arguments as for `dense_flow`."""
     _check_image("current", current, template.inside)
     check_penalty(penalty)
     if warps < 1:
@@ -290,10 +296,13 @@ def find_flow(
 
 
 def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], spread_at: Tensor) -> Flow:
-    """The result, of the flow on cells, what was left before the last step, and the covariance for a gain of 1."""
+    """Return the result at pixels from the flow on cells.
+
+    `left` is the residual before the last step, `spread_at` the covariance at a gain of 1.
+    """
     size = template.inside.shape[-2:]
     known = template.levels[0].inside
-    # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
+    # Half of it is noise of the first image, half of the current one, which counts more at a lower gain.
     covariance = spread_at * ((1 + 1 / (left.gain * left.gain)) / 2)
     squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
@@ -308,14 +317,14 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], spread_
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """The flow on cells in px, as the halved images have it."""
+    """Return the flow on cells, px, estimated from the halved images; 0 if there are none."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
         return template.value.new_zeros(batch, 2, height, width)
     half = halved_image(current)
     found, _, _ = _refined(coarser, half, _from_nothing(coarser, half, warps, penalty), warps, penalty)
-    # Pixels of the halved images are the cells of these.
+    # Pixels of the halved images are the cells of the full ones.
     wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
     return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
 
@@ -323,7 +332,7 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
 ) -> tuple[Tensor, Left[Tensor], Level]:
-    """The flow on cells after so many warps, what was left before the last one, and the finest level of its system."""
+    """Return the flow on cells after `warps` warps, the residual before the last one, and the finest level solved."""
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
         left = _left(template, coefficients, flow)
@@ -334,22 +343,23 @@ def _refined(
             levels = weighted_levels(levels[0], tensor, flow, known, template.roughness)
             data = of_data * data
         pull = -levels[0].inside * integrated(data, template.weights)
-        # Warps before the last one only bring the image to where it can be linearised.
+        # Warps before the last one only bring the image close enough to be linearised.
         flow = descended(levels, pull, flow, known, _CYCLES if warp + 1 == warps else 1)
     return flow, left, levels[0]
 
 
 def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
-    """What a flow on cells leaves unexplained of all channels (C B, 1, H, W) together: means over cells of its products
-    with the slopes, over the gain (B, 2, h, w), of its squares and of where it was seen (B, 1, h, w); and the gain of
-    the light (B, 1, 1, 1).
+    """Return what a flow on cells leaves unexplained, in all channels (C B, 1, H, W) together.
+
+    Means over cells: of its products with the slopes, divided by the gain (B, 2, h, w), of its squares, and of where it
+    was seen (B, 1, h, w). Also the gain of the illumination (B, 1, 1, 1).
     """
     count = len(coefficients) // len(flow)
     known, inside = template.levels[0].inside, template.inside
     if count > 1:
         known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
     data, squares, seen, gain = _left_of_each(coefficients, template.value, template.gradient, inside, flow, known)
-    # Slopes and step of the first image: in the light of the current one both count by the gain, J by its square.
+    # Slopes are those of the first image. In the current one they scale with the gain, and J with its square.
     return Left(
         _sum(data / gain, count),
         _sum(squares, count),
@@ -361,7 +371,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """`_left` of every channel, its products not over the gain."""
+    """Compute `_left` for each channel, with products not divided by the gain."""
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
@@ -373,7 +383,7 @@ def _left_of_each(
 
 
 def _slopes(coefficients: Tensor) -> Tensor:
-    """(B, 2, H, W) of the spline at whole pixels."""
+    """Return the slopes (B, 2, H, W) of the spline at whole pixels."""
     wide = functional.pad(coefficients, (1, 1, 1, 1), mode="replicate")
 
     def smooth(cells: Tensor, dim: int) -> Tensor:
@@ -388,14 +398,14 @@ def _slopes(coefficients: Tensor) -> Tensor:
 
 
 def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Which pixels of the mask arrive where the spline knows the image, and its values there (B, 1, H, W)."""
+    """Return which pixels of the mask arrive where the spline is known, and its values there, (B, 1, H, W) each."""
     values = _sampled(coefficients, flow)
     usable = finite(values)
     return _arrives(flow, inside, _MARGIN) * usable.to(values.dtype), torch.where(usable, values, 0.0)
 
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
-    """The spline (B, 1, H, W) where the pixels have moved to; beyond the border its coefficients are repeated."""
+    """Return the spline (B, 1, H, W) at the displaced pixels; beyond the border its coefficients are replicated."""
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow):
         return kernels.flow_warp(coefficients, flow)
     height, width = coefficients.shape[-2:]
@@ -416,7 +426,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """1 for the pixels of the mask that lie within the current image, so many px inside, else 0."""
+    """Return 1 for pixels of the mask that arrive at least `margin` px inside the current image's border, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
@@ -425,13 +435,13 @@ def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
 
 
 def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Gain and offset (B, 1, 1, 1) of the warped image against the first one: least squares over what is seen."""
+    """Fit gain and offset (B, 1, 1, 1) of the warped image to the first one, by least squares over seen pixels."""
     count = seen.sum((1, 2, 3), keepdim=True).clamp_min(1)
     mean, mean_warped = ((seen * one).sum((1, 2, 3), keepdim=True) / count for one in (value, warped))
     apart = seen * (value - mean)
     energy = (apart * apart).sum((1, 2, 3), keepdim=True)
     gain = (apart * (warped - mean_warped)).sum((1, 2, 3), keepdim=True) / energy.clamp_min(_TINY)
-    # A picture that has nothing in common with the first one would have its sign turned: it is compared as it is.
+    # An uncorrelated image could get a gain near 0 or below: it is compared with a gain of 1.
     gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
     return gain, mean_warped - gain * mean
 

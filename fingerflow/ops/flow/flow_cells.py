@@ -1,11 +1,12 @@
-"""The cells of dense flow, 2 x 2 px each, between pixels and unknowns.
+"""The cells of dense flow, 2 x 2 px each, and conversions between pixels and cells.
 
-The windows that integrate the data term, and the smoothing beside it, let next to nothing pass above a period of 4 px:
-at a window of two boxes of 9 px and a smoothing length of 7 px, less than 1e-7 of the height of a wave. So the flow is
-known by a number a cell and component, and everything but the images costs a fourth. Beside unknowns a pixel errors are
-the same: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with windows of 3 px.
+The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
+of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
+component is thus enough, and everything except the images costs a fourth. Errors are the same as with one unknown per
+pixel: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with windows of 3 px.
 
-At pixels it is the plane that fits it best and, beside that, bilinear between the middles of the cells that are known.
+At pixels the flow is its best-fitting plane, plus the remainder interpolated bilinearly between the centres of known
+cells.
 """
 
 import math
@@ -19,14 +20,12 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.tensors import finite
 
 CELL = 2  # px
-_NARROW = (
-    0.01  # share of the square of the trace that the determinant of moments in a plane has at least; a disc's is 1/4
-)
+_NARROW = 0.01  # least determinant of the moments in a plane fit, relative to the squared trace; 1/4 for a disc
 _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """u = height + x slope_x + y slope_y, two components (B, 2, ., .) each."""
+    """Planes u = height + x slope_x + y slope_y, two components (B, 2, ., .) each."""
 
     height: Tensor
     slope_x: Tensor
@@ -37,19 +36,20 @@ class Planes(NamedTuple):
 
 
 def halved(fields: Tensor) -> Tensor:
-    """(B, C, ceil(h / 2), ceil(w / 2)): means of 2 x 2, what lies beyond the border counting as 0."""
+    """Return means over 2 x 2, (B, C, ceil(h / 2), ceil(w / 2)); values beyond the border count as 0."""
     height, width = fields.shape[-2:]
     return functional.avg_pool2d(functional.pad(fields, (0, width % 2, 0, height % 2)), 2)
 
 
 def magnified(fields: Tensor, times: int) -> Tensor:
-    """Bilinear between the middles of cells, on so many times as many places each way, the border repeated."""
+    """Interpolate bilinearly between cell centres, to `times` as many along each axis; the border is replicated."""
     return functional.interpolate(fields, scale_factor=times, mode="bilinear", align_corners=False)
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """(B, C, height, width): bilinear between those of twice as large cells (B, C, h, w) that are known (1 or 0):
-    9/16, 3/16, 3/16 and 1/16 of the four nearest; 0 where none is.
+    """Interpolate bilinearly from known (1 or 0) cells (B, C, h, w) to cells of half the size, (B, C, height, width).
+
+    The four nearest have the weights 9/16, 3/16, 3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -57,8 +57,9 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Means (B, 2, h, w) over cells of what lies inside (B, 1, H, W) (1 or 0) of fields (B, 2, H, W), what is not
-    finite counting as 0; 0 where nothing does.
+    """Return means (B, 2, h, w) over cells of the pixels (B, 2, H, W) that are inside (B, 1, H, W), 1 or 0.
+
+    Non-finite values count as 0; a cell without a pixel inside is 0.
     """
     if pixels.dtype == torch.float32 and kernels.serve(pixels, inside):
         return kernels.flow_to_cells(pixels, inside)
@@ -67,7 +68,7 @@ def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """A field (B, 2, height, width) of its cells (B, 2, h, w), of which some are known (B, 1, h, w), 1 or 0."""
+    """Return a field (B, 2, height, width) from cells (B, 2, h, w), of which some are known (B, 1, h, w), 1 or 0."""
     if cells.dtype == torch.float32 and kernels.serve(cells, known):
         return kernels.flow_to_pixels(cells, known, height, width)
     plane = plane_of(cells, known)
@@ -76,12 +77,12 @@ def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def plane_of(cells: Tensor, known: Tensor) -> Planes:
-    """The plane (B, 2, 1, 1) that fits a field (B, 2, h, w) best, with these weights."""
+    """Return the plane (B, 2, 1, 1) that best fits a field (B, 2, h, w), with weights `known`."""
     return planes(moments(known, known * cells, *places(cells)).sum((2, 3), keepdim=True))
 
 
 def places(cells: Tensor) -> tuple[Tensor, Tensor]:
-    """x (w) and y (h, 1) of cells (., ., h, w) from the middle of the field, in cells."""
+    """Return x (w) and y (h, 1) of cells (., ., h, w) relative to the centre of the field, in cells."""
     x, y = (
         torch.arange(count, dtype=cells.dtype, device=cells.device) - (count - 1) / 2
         for count in (cells.shape[-1], cells.shape[-2])
@@ -90,7 +91,7 @@ def places(cells: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """x (width) and y (height, 1) of what is half as large, in cells from the middle of these."""
+    """Return x (width) and y (height, 1) of pixels, of half the size, relative to the centre of the cells, in cells."""
     x, y = (
         (torch.arange(count, dtype=cells.dtype, device=cells.device) - 0.5) / CELL - (number - 1) / 2
         for count, number in ((width, cells.shape[-1]), (height, cells.shape[-2]))
@@ -99,13 +100,13 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(B, 12, h, w) of weights (B, 1, h, w) and a weighted field (B, 2, h, w): what a plane through it asks for."""
+    """Return the moments (B, 12, h, w) for a plane fit, from weights (B, 1, h, w) and a weighted field (B, 2, h, w)."""
     along, down = share * x, share * y
     return torch.cat((share, along, down, along * x, along * y, down * y, field, field * x, field * y), dim=1)
 
 
 def planes(moments: Tensor) -> Planes:
-    """Least squares; the mean where cells do not span a plane, 0 where there are none."""
+    """Fit planes by least squares; a plane is the mean where cells do not span it, and 0 where there are none."""
     around, *sums = moments.split((1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1)
     some = torch.where(around > _TINY, around, 1.0)
     mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (one / some for one in sums)
@@ -119,7 +120,7 @@ def planes(moments: Tensor) -> Planes:
 
 
 def window(side: float) -> list[float]:
-    """Weights, along a line of cells, of two boxes of so many cells, at least 1, one after the other."""
+    """Return the weights, along a line of cells, of two successive boxes with a side of so many cells, at least 1."""
     reach = math.ceil((side - 1) / 2 - 1e-9)
     ends = (side - (2 * reach - 1)) / 2
     once = [1.0] if reach == 0 else [ends / side, *[1 / side] * (2 * reach - 1), ends / side]
@@ -129,14 +130,14 @@ def window(side: float) -> list[float]:
 
 
 def window_variance(weights: list[float]) -> float:
-    """px^2 of a window along a line, with that of its cells."""
+    """Return the variance, px^2, of a window along a line, including that of its cells."""
     half = len(weights) // 2
     spread_out = sum(weight * (k - half) ** 2 for k, weight in enumerate(weights))
     return CELL**2 * spread_out + (CELL**2 - 1) / 12
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Weighted means along rows and columns of (B, C, h, w); 0 beyond the border."""
+    """Return weighted means of (B, C, h, w) along rows and columns; values beyond the border count as 0."""
     if fields.dtype == torch.float32 and kernels.serve(fields):
         return kernels.flow_integrate(fields, weights)
     half = len(weights) // 2

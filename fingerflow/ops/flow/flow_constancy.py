@@ -1,9 +1,9 @@
-"""What dense flow takes to be the same in both images: grey levels, or their gradient.
+"""Constancy assumption of dense flow: grey levels, or their gradient, are the same in both images.
 
-Light that changes from place to place (contact that grows under the skin, shadows, gloss) moves grey levels, and hardly
-their gradient (Brox, Bruhn, Papenberg, Weickert, ECCV 2004, section 2). Both derivatives are then channels of the data
-term in place of the image, multiplied by P / (2 pi): a wave of period P counts for what it did, longer ones for less,
-shorter ones and noise for more.
+Illumination changes that vary in space (contact that grows under the skin, shadows, gloss) alter grey levels, but
+hardly their gradient (Brox, Bruhn, Papenberg, Weickert, ECCV 2004, section 2). Both derivatives then replace the image
+as channels of the data term, multiplied by P / (2 pi). A wave of period P has the same weight as before, longer ones
+less, shorter ones and noise more.
 """
 
 import math
@@ -16,21 +16,24 @@ from torch.nn import functional
 Constancy = Literal["brightness", "gradient"]
 
 _PERIOD = 15.0  # px, of ridges
-# Deviation of what white noise of both images leaves after the low-pass of the spline, over that of one.
+# Standard deviation of the residual for white noise in both images, after the low-pass of the spline, relative to that
+# of one image.
 LEFT_BY_NOISE = {"brightness": 0.42, "gradient": 0.84}
-# Eigenvalues of J that noise alone has, over those of brightness.
+# Eigenvalues of J for noise alone, relative to those of brightness.
 NOISE_OF_TENSOR = {"brightness": 1.0, "gradient": 5.9}
 
 
 def check_constancy(constancy: str) -> None:
-    """Raises a ValueError unless it is one of the two."""
+    """Raise ValueError unless `constancy` is "brightness" or "gradient"."""
     if constancy not in get_args(Constancy):
         raise ValueError(f"constancy must be one of {get_args(Constancy)}, not {constancy!r}")
 
 
 def channels(coefficients: Tensor, constancy: Constancy) -> Tensor:
-    """Coefficients (C B, 1, H, W), channel after channel, of the splines of what is constant: central differences of
-    those of the images (B, 1, H, W), which are the coefficients of the differences of their splines.
+    """Return spline coefficients (C B, 1, H, W), channel after channel, of the quantities that are constant.
+
+    For the gradient they are central differences of the coefficients of the images (B, 1, H, W), which are the
+    coefficients of the differences of their splines.
     """
     if constancy == "brightness":
         return coefficients

@@ -1,4 +1,4 @@
-"""The course of a flow, from which its departure is smoothed."""
+"""Trend ("course") of a flow; the smoothness term penalises the departure from it."""
 
 from torch import Tensor
 
@@ -13,14 +13,14 @@ from fingerflow.ops.flow.flow_cells import (
     window,
 )
 
-WINDOW = window(9)  # cells of the course, of 4 px
+WINDOW = window(9)  # cells of 4 px
 
 
 def course(flow: Tensor, known: Tensor) -> Tensor:
-    """The course (B, 2, h, w) of a flow on cells of which some are known (B, 1, h, w), 1 or 0.
+    """Return the trend (B, 2, h, w) of a flow on cells, of which some are known (B, 1, h, w), 1 or 0.
 
-    It is the plane that fits it best and, beside that, for the rest, planes that fit it around every place: in two
-    boxes of 36 px, one after the other.
+    It is the best-fitting plane, plus planes fitted to the remainder around every position, in two successive boxes of
+    36 px.
     """
     whole = plane_of(flow, known).at(*places(flow))
     share = halved(known)

@@ -1,4 +1,4 @@
-"""What noise leaves in dense flow."""
+"""Covariance of dense flow due to noise."""
 
 import math
 
@@ -8,17 +8,24 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 
-_RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
+_RIDGE_NOISE = 0.86  # share of the noise power that passes the low-pass of the spline at a period of 15 px
 _TINY = 1e-12
 
 
 def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float, of_noise: Tensor) -> Tensor:
-    """(B, 3, h, w) xx, xy, yy of the noise of both images, in the same light.
+    """Return the covariance (B, 3, h, w), xx, xy, yy, due to the noise of both images, at a gain of 1.
 
-    Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
-    that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
-    s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha. `alpha` may differ from cell to cell, (B, 1, h, w), or is
-    (B, 1, 1, 1); the variance of noise is (B,), as the eigenvalues of J that noise alone has.
+    It assumes that J changes little over the smoothing length. A component along which J is l has the variance of noise
+    of density s^2 filtered by l K(k) / (l + alpha k^2). With the two boxes approximated by a Gaussian of variance rho^2
+    along each axis this is s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha. NaN where the texture does not
+    exceed the noise.
+
+    Args:
+        tensor: (B, 3, h, w) J.
+        variance: (B,) of the noise.
+        alpha: (B, 1, 1, 1), or (B, 1, h, w) if it differs between cells.
+        rho_square: variance of the window, px^2.
+        of_noise: (B,) eigenvalue of J for noise alone.
     """
     if (
         tensor.dtype == torch.float32
@@ -46,7 +53,7 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
 
 def _passed(z: Tensor) -> Tensor:
-    """1 - z e^z E1(z) for z > 0, to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56)."""
+    """Return 1 - z e^z E1(z) for z > 0, accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56)."""
     small = z.clamp_max(1.0)
     series = 0.99999193 + small * (-0.24991055 + small * (0.05519968 + small * (-0.00976004 + small * 0.00107857)))
     below = small * small.exp() * (series * small - 0.57721566 - small.log())

@@ -1,9 +1,10 @@
-"""A flow on cells led to where the pull of the images and the smoothing of its departure from its course are even.
+"""Iterative solution of the flow on cells, with multigrid cycles and the trend of the flow (`flow_course`).
 
-The fixed point is pull = J (w - w_0) + alpha L (w - M w), w_0 the flow that the pull belongs to. L (1 - M) couples
-cells over the whole of the course's window, which multigrid cannot invert. A cycle of it with J + alpha L lowers what
-is left over of the whole equation, and the course is taken anew before each. Where ridges run in one direction, one
-warp and three cycles so bring nine tenths of the flow to within 0.0023 px of the fixed point, one cycle to 0.013.
+At the fixed point the pull of the images balances the smoothing of the departure from the trend: pull = J (w - w_0) +
+alpha L (w - M w), with w_0 the flow at which the pull was computed. L (1 - M) couples cells over the whole window of
+the trend, which multigrid cannot invert. A multigrid cycle with J + alpha L therefore reduces the residual of the full
+equation, and the trend is recomputed before each cycle. Where ridges run in one direction, one warp and three cycles
+bring nine tenths of the flow to within 0.0023 px of the fixed point, one cycle to 0.013.
 """
 
 import torch
@@ -15,13 +16,13 @@ from fingerflow.ops.flow.flow_multigrid import COARSEST_SWEEPS, DAMPING, SWEEPS,
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """The flow (B, 2, h, w) after so many cycles.
+    """Return the flow (B, 2, h, w) after the given number of cycles.
 
     Args:
-        levels: of the multigrid, the finest that of the flow.
-        pull: (B, 2, h, w) of the images at the flow that is given.
-        flow: (B, 2, h, w) px; where it is not known it begins with its course.
-        known: (B, 1, h, w), 1 or 0: what takes part in the course.
+        levels: of the multigrid; the finest is that of the flow.
+        pull: (B, 2, h, w) of the images at the given flow.
+        flow: (B, 2, h, w) px; unknown cells start from the trend.
+        known: (B, 1, h, w), 1 or 0: cells that contribute to the trend.
         cycles: at least 1.
     """
     if pull.dtype == torch.float32 and kernels.serve(pull, flow, known, *levels[0]):

@@ -1,10 +1,11 @@
-"""The linear system of dense flow, (J + alpha L) d = r, by multigrid: two numbers a pixel, coupled by 2 x 2 tensors.
+"""Multigrid for the linear system of dense flow, (J + alpha L) d = r: two unknowns per cell, coupled by 2 x 2 tensors.
 
-L is the graph Laplacian of the pixels of a mask, so that its border is natural: nothing flows across it. Coarser levels
-stand for 2 x 2 cells each: J and r are means over them, and an edge between two cells has a fourth of the mean weight
-of the two that cross it, which is what the fine operator does to a field that is constant on cells and differs from one
-to the next as a plane does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image Processing 14(5), 2005, restrict the tensors
-too). Smoothing is damped 2 x 2 block Jacobi: the same numbers in any order of pixels.
+L is the graph Laplacian of the cells of a mask, which makes the border condition natural: no flux across it. Coarser
+levels represent 2 x 2 cells each: J and r are means over them. An edge between two coarse cells has a fourth of the
+mean weight of the two fine edges across their common side. This equals the action of the fine operator on a field that
+is constant on coarse cells and differs between them as a plane does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image
+Processing 14(5), 2005, restrict the tensors too). The smoother is damped 2 x 2 block Jacobi, whose result does not
+depend on the order of cells.
 
 Every step is a stencil of fixed cost. One V-cycle leaves 1 to 10 % of the residual on skin.
 """
@@ -23,21 +24,21 @@ DAMPING = 0.8  # of a Jacobi step
 SWEEPS = 2  # before and after the coarser levels
 COARSEST_SWEEPS = 20
 _REGULAR = 1e-6
-SMALLEST_SIDE = 4  # px: a level with a side of so few or fewer is the last
+SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
 
 
 class Level(NamedTuple):
-    """Operator on (B, ., h, w) cells."""
+    """Operator of one multigrid level on cells (B, ., h, w)."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
     right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
     down: Tensor  # (B, 1, h - 1, w)
-    inverse: Tensor  # (B, 3, h, w), of J + alpha deg; 0 where nothing is known
+    inverse: Tensor  # (B, 3, h, w), of J + alpha degree; 0 where that is singular
     inside: Tensor  # (B, 1, h, w), 1 where a cell holds a pixel of the mask, else 0
 
 
 def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
-    """All levels, the finest first.
+    """Build all levels, the finest first.
 
     Args:
         tensor: (B, 3, H, W) J, 0 outside the mask.
@@ -69,12 +70,15 @@ def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor)
 
 
 def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Where two neighbours of a row, and of a column, both are in the mask: (B, 1, H, W - 1) and (B, 1, H - 1, W)."""
+    """Return 1 where two neighbours are both in the mask, else 0.
+
+    Neighbours in a row are (B, 1, H, W - 1), those in a column (B, 1, H - 1, W).
+    """
     return mask[..., 1:] * mask[..., :-1], mask[..., 1:, :] * mask[..., :-1, :]
 
 
 def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
-    """Between 2 x 2 cells: a fourth of the mean of those that cross from one's second column (row) to the next."""
+    """Return edge weights between 2 x 2 cells: a fourth of the mean of the two fine edges across their common side."""
     right, down = (
         functional.pad(right[..., 1::2], (0, 0, 0, right.shape[-2] % 2)),
         functional.pad(down[..., 1::2, :], (0, down.shape[-1] % 2)),
@@ -83,13 +87,13 @@ def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def degrees(right: Tensor, down: Tensor) -> Tensor:
-    """Sums (B, 1, h, w) of the weights of the edges that meet in a cell."""
+    """Return sums (B, 1, h, w) of the weights of the edges that meet in a cell."""
     pad = functional.pad
     return pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
 
 
 def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    """An approximate solution (B, 2, H, W) of (J + alpha L) d = r."""
+    """Return an approximate solution (B, 2, H, W) of (J + alpha L) d = r, by one V-cycle from 0."""
     level, coarser = levels[0], levels[1:]
     solution = DAMPING * times(level.inverse, right_side)
     if not coarser:
@@ -101,12 +105,12 @@ def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
 
 
 def applied(level: Level, field: Tensor) -> Tensor:
-    """(J + alpha L) of a field (B, 2, h, w)."""
+    """Apply J + alpha L to a field (B, 2, h, w)."""
     return times(level.tensor, field) + laplacian(level, field)
 
 
 def laplacian(level: Level, field: Tensor) -> Tensor:
-    """alpha L of a field (B, C, h, w)."""
+    """Apply alpha L to a field (B, C, h, w)."""
     across = level.right * (field[..., 1:] - field[..., :-1])
     along = level.down * (field[..., 1:, :] - field[..., :-1, :])
     pad = functional.pad
@@ -117,7 +121,7 @@ def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
     degree = degrees(right, down)
     xx, xy, yy = tensor[:, :1] + degree, tensor[:, 1:2], tensor[:, 2:] + degree
     determinant = xx * yy - xy * xy
-    known = determinant > _REGULAR * (xx + yy).square()  # not a single cell with a slope in one direction
+    known = determinant > _REGULAR * (xx + yy).square()  # False for an isolated cell with a slope in one direction
     inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
     return Level(tensor, right, down, torch.where(known, inverse, 0.0), mask)
 
@@ -129,6 +133,6 @@ def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) ->
 
 
 def times(tensor: Tensor, field: Tensor) -> Tensor:
-    """Products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w) with vectors."""
+    """Return products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w) with vectors."""
     u, v = field[:, :1], field[:, 1:]
     return torch.cat((tensor[:, :1] * u + tensor[:, 1:2] * v, tensor[:, 1:2] * u + tensor[:, 2:] * v), dim=1)

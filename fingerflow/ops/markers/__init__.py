@@ -1,1 +1,1 @@
-"""Printed markers of soft sensors: found, and matched between frames."""
+"""Printed markers of soft sensors: detection, and matching between frames."""

@@ -1,29 +1,34 @@
-"""Which of the markers that a picture shows is which: their motion is continuous, as that of the gel they are on."""
+"""Matching of detected markers to those at rest, on the assumption that the gel moves continuously."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-_LABELS = 12  # markers that one may be, the nearest to where it is expected
-_REACH = 1.3  # spacings from there
-_NEIGHBOURS = 8  # to which a marker is tied
-_RADIUS = 1.6  # spacings: the diagonal neighbours of a square lattice are among them
+_LABELS = 12  # candidates of a marker: the detections nearest to its expected position
+_REACH = 1.3  # spacings, largest distance of a candidate from the expected position
+_NEIGHBOURS = 8  # nearest neighbours to which a marker is tied; ties count in both directions
+_RADIUS = 1.6  # spacings, length limit of a tie: it includes the diagonal neighbours of a square lattice
 _ROUNDS = 40
 _DAMPING = 0.3
-# Costs, in squares of the difference of two neighbours' displacements over their distance. Markers of a gel that is
-# sheared hard differ by 0.5, and by 1 where one is taken for the next.
-_TORN = 0.5  # beyond which a tie says nothing more
+# Costs, in squares of (difference of two neighbours' displacements / their distance). That ratio is 0.5 in a strongly
+# sheared gel and 1 where a marker is mistaken for its neighbour.
+_TORN = 0.5  # truncation of the cost of a tie
 _APART = 0.15  # of a tie to a marker that is not seen
 _LOST = 0.6  # of not being seen
-_INERTIA = 0.15  # of a displacement by one spacing since the frame before
-_NEVER = 1e6
-_SETTLED = 1e-3
+_INERTIA = 0.15  # of a distance of one spacing from the expected position
+_NEVER = 1e6  # of an assignment that is excluded
+_SETTLED = 1e-3  # largest change of a message at convergence
 
 
 class Ties(NamedTuple):
-    """Neighbours that are tied, `first`, `second` (T,), each pair in both directions, `back` (T,) the other direction;
-    their `distance` (T,) px, and the `spacing` of the markers, px.
+    """Ties (edges) between neighbouring markers, each in both directions.
+
+    Attributes:
+        first, second: (T,) int64, indices of the tied markers.
+        back: (T,) int64, index of the tie in the opposite direction.
+        distance: (T,) px between the two markers.
+        spacing: px, of the markers.
     """
 
     first: Tensor
@@ -34,7 +39,10 @@ class Ties(NamedTuple):
 
 
 def tie_neighbours(reference: Tensor) -> Ties:
-    """Ties of markers (N, 2) at rest, N at least 2, all finite; the spacing is the median distance to the nearest."""
+    """Return the ties of markers (N, 2) at rest, N at least 2, all finite.
+
+    The spacing is the median distance to the nearest neighbour.
+    """
     distance = torch.cdist(reference, reference)
     distance.fill_diagonal_(torch.inf)
     spacing = float(distance.amin(1).median())
@@ -48,18 +56,19 @@ def tie_neighbours(reference: Tensor) -> Ties:
 
 
 def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor) -> Tensor:
-    """Number (N,) of the marker that each one is among those found (M, 2), -1 where it is not seen; none is two.
+    """Return, for each marker at rest, the index (N,) of its detection, -1 where it is not seen.
 
-    The labelling of least cost of a Markov random field: neighbours' displacements since rest differ by little against
-    their distance, truncated, and nobody jumps without need; by min-sum belief propagation (Felzenszwalb &
-    Huttenlocher 2006). So a motion of more than half a spacing from one frame to the next, where the nearest marker is
-    the wrong one, is still read right as long as it is continuous and a part of the gel moves less.
+    No detection is assigned twice. The assignment minimises the cost of a Markov random field by min-sum belief
+    propagation (Felzenszwalb & Huttenlocher 2006). A tie costs the squared difference of the neighbours' displacements
+    since rest over their distance, truncated. A marker costs its squared distance from the expected position. Between
+    frames a marker may thus move by more than half a spacing, where the nearest detection is the wrong one: the match
+    is still correct if the motion is continuous and part of the gel moves less.
 
     Args:
-        reference: (N, 2) px at rest.
-        ties: of them.
-        expected: (N, 2) px, where each is expected now.
-        found: (M, 2) px, finite.
+        reference: (N, 2) px, markers at rest.
+        ties: `tie_neighbours` of `reference`.
+        expected: (N, 2) px, expected positions in this frame.
+        found: (M, 2) px, detections, finite.
     """
     count, labels = len(reference), min(_LABELS, len(found))
     nobody = torch.full((count,), -1, dtype=torch.int64, device=reference.device)
@@ -72,7 +81,7 @@ def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor
     displacement = found[near.indices] - reference[:, None]
     change = displacement[ties.first][:, :, None] - displacement[ties.second][:, None]
     torn = (change.square().sum(-1) / ties.distance[:, None, None].square()).clamp_max(_TORN)
-    # One marker is not two.
+    # Two markers cannot be the same detection.
     torn = torch.where(near.indices[ties.first][:, :, None] == near.indices[ties.second][:, None], _NEVER, torn)
     cost = torch.nn.functional.pad(torn, (0, 1, 0, 1), value=_APART)  # (T, of the first, of the second)
     message = torch.zeros_like(cost[:, 0])  # (T, labels + 1), to the second from the first
@@ -87,7 +96,7 @@ def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor
     chosen = belief.argmin(1)
     seen = chosen < labels
     number = near.indices.gather(1, chosen.clamp_max(labels - 1)[:, None])[:, 0]
-    # Of two that claim one marker, the surer keeps it.
+    # Of two markers that claim one detection, the one with the larger margin over "not seen" keeps it.
     margin = belief[:, -1] - belief.amin(1)
     taken = torch.full((len(found),), -torch.inf, dtype=margin.dtype, device=margin.device)
     taken = taken.scatter_reduce(0, number[seen], margin[seen], "amax")

@@ -1,4 +1,4 @@
-"""Printed markers: dark or bright blobs of one size, found to a part of a pixel at their own scale."""
+"""Detection of printed markers: dark or bright blobs of one size, located to subpixel accuracy at their scale."""
 
 import math
 from typing import NamedTuple
@@ -11,21 +11,25 @@ from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.corners import choose_apart
 
 _SMALLEST = 1.5  # px, the finest scale: a disc of 4 px across
-_STEPS = 4  # scales an octave
-_COARSEST = 16  # of the shorter side of the picture: larger ones are no markers but the picture's own shading
-_LOCAL = 2.0  # times the scale: what the contrast is taken against
-_REACH = 4.0  # standard deviations of a Gaussian that are summed
-_FEWEST = 4
-_ABOVE_NOISE = 8.0  # times the deviation of what noise leaves: the strongest of 100,000 places reaches 4.5
-#: Share of the usual contrast that a marker must keep: light that changes, shear and blur take some of it.
+_STEPS = 4  # scales per octave
+_COARSEST = 16  # shorter side of the image over the coarsest scale: larger blobs are shading, not markers
+_LOCAL = 2.0  # times the scale: Gaussian of the local brightness to which the contrast is related
+_REACH = 4.0  # standard deviations at which a Gaussian is truncated
+_FEWEST = 4  # markers that an image must show
+_ABOVE_NOISE = 8.0  # deviations of the noise in the response: its maximum over 100,000 positions is 4.5 deviations
+#: Least share of the usual contrast at which a marker is detected: changing light, shear and blur reduce the contrast.
 LEAST_CONTRAST = 0.3
-_COARSER = 1.25  # times the scale, by which a place is checked; finer ones see a disc as a ring
-_APART = 1.5  # scales between two markers at least: a disc has a radius of sqrt(2) scales
+_COARSER = 1.25  # times the scale, for the check of positions; at finer scales a disc appears as a ring
+_APART = 1.5  # scales, least distance between two markers: a disc has a radius of sqrt(2) scales
 
 
 class MarkerLook(NamedTuple):
-    """What the markers of a recording look like: their scale in px, a disc's radius over sqrt(2); 1 for dark and -1 for
-    bright ones; and their usual response (`detect_markers`).
+    """Appearance of the markers of a recording.
+
+    Attributes:
+        scale: px, the radius of a disc over sqrt(2).
+        polarity: 1 for dark markers, -1 for bright ones.
+        response: median response of the markers (`Markers.response`).
     """
 
     scale: float
@@ -34,19 +38,19 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Of the disc whose scale this is, px."""
+        """Radius of the disc with this scale, px."""
         return math.sqrt(2) * self.scale
 
 
 class Markers(NamedTuple):
-    """Markers of B pictures, strongest first; NaN behind the last.
+    """Markers of B images, strongest first; NaN after the last.
 
     Attributes:
-        points: (B, N, 2) px, N the most that one of the pictures has.
+        points: (B, N, 2) px, N the largest number of markers in one of the images.
         response: (B, N) scale-normalised Laplacian over the local brightness.
-        covariance: (B, N, 2, 2) px^2 of `points`, by the white noise of the picture.
-        disagreement: (B, N) px from there to the middle that a coarser scale finds. Shadows and folds beside a marker
-            draw both aside, and not by the same.
+        covariance: (B, N, 2, 2) px^2 of `points`, due to the white noise of the image.
+        disagreement: (B, N) px, distance from `points` to the centre found at a coarser scale. Shadows and folds beside
+            a marker displace both centres, but by different amounts.
     """
 
     points: Tensor
@@ -56,12 +60,12 @@ class Markers(NamedTuple):
 
 
 def measure_markers(frame: Tensor) -> MarkerLook | None:
-    """The look of the markers in one picture (1, 1, H, W); None where there are none.
+    """Measure the appearance of the markers in one image (1, 1, H, W); None if it shows none.
 
-    Blobs are the extrema over place and scale of the scale-normalised Laplacian of Gaussian (Lindeberg 1998), over the
-    local brightness, so that the light's gain cancels. Markers are the polarity with the larger sum of cubes: they are
-    few and strong, and what lies between them is weak. Otsu's threshold parts them from the rest; the scale is the
-    median of theirs.
+    Blobs are the extrema over position and scale of the scale-normalised Laplacian of Gaussian (Lindeberg 1998), over
+    the local brightness, so that the illumination gain cancels. Markers are few and strong while the blobs between them
+    are weak, so the polarity with the larger sum of cubed responses is that of the markers. Otsu's threshold separates
+    them from the other blobs. Scale and response are the medians over the markers.
 
     Raises ValueError for another shape.
     """
@@ -90,20 +94,22 @@ def measure_markers(frame: Tensor) -> MarkerLook | None:
         return None
     scale = _SMALLEST * 2 ** (float(octave[strong].median()) / _STEPS)
     response = float(strength[strong].median())
-    # White noise of variance 1 leaves 1 / (2 pi scale^2) in the response.
+    # White noise of variance 1 gives the Laplacian response a variance of 1 / (2 pi scale^2).
     noise = float(_noise(frame)[0]) / (math.sqrt(2 * math.pi) * scale * max(float(image.mean()), 1.0))
     return MarkerLook(scale, polarity, response) if response > _ABOVE_NOISE * noise else None
 
 
 def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Markers:
-    """Markers of that look in pictures (B, 1, H, W), 8 to 16 bit or floating; at most `count`.
+    """Detect markers of a given appearance in images (B, 1, H, W), 8 to 16 bit or floating; at most `count` per image.
 
-    Maxima of the Laplacian of Gaussian at the markers' scale, at least `LEAST_CONTRAST` of the usual one, to a part of
-    a pixel by Newton's step to the summit of the quadratic through the 3 x 3 pixels around. Beyond the border the
-    nearest pixel counts: a marker that the border cuts is found too, beside its middle.
+    Markers are maxima of the Laplacian of Gaussian at the markers' scale with at least `LEAST_CONTRAST` of their median
+    response. A Newton step to the maximum of the quadratic through the 3 x 3 pixels around gives the subpixel position.
+    Beyond the border the nearest pixel counts; a marker cut by the border is detected, but off its true centre.
 
-    Noise of standard deviation s moves the summit by H^-1 times the gradient of the filtered noise, each of whose
-    components has the variance 3 s^2 / (4 pi scale^4).
+    Noise of standard deviation s moves the maximum by H^-1 times the gradient of the filtered noise, H the second
+    derivatives there. Each component of that gradient has the variance 3 s^2 / (4 pi scale^4).
+
+    Raises ValueError for another shape.
     """
     if frames.ndim != 4 or frames.shape[1] != 1:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
@@ -132,7 +138,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Summits (B, N, 2) px of the coarser response, of the highest pixel within a scale of places (B, N)."""
+    """Return the highest response at a coarser scale within one scale of x, y (B, N), refined to (B, N, 2) px."""
     reach = math.ceil(look.scale)
     response = look.polarity * _response(image, _COARSER * look.scale, margin=1)[:, 0]
     height, width = image.shape[-2:]
@@ -150,11 +156,11 @@ def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
 
 
 def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """scale^2 times the Laplacian of the blurred picture, over the brightness around: positive where it is darker.
+    """Compute scale^2 times the Laplacian of the blurred image over the local brightness: positive for dark blobs.
 
-    With a margin of pixels beyond the border on each side.
+    The result is larger than the image by `margin` pixels on each side.
     """
-    # The Laplacian needs one pixel more: a kink at the border would be a blob.
+    # The Laplacian needs one more pixel: padding after the blur would leave a kink that is detected as a blob.
     blurred = blur(image, scale, margin + 1)
     middle = blurred[..., 1:-1, 1:-1]
     sides = blurred[..., 1:-1, :-2] + blurred[..., 1:-1, 2:] + blurred[..., :-2, 1:-1] + blurred[..., 2:, 1:-1]
@@ -162,9 +168,10 @@ def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
 
 
 def blur(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """By a Gaussian; beyond the border the nearest pixel counts.
+    """Blur an image by a Gaussian of standard deviation `scale` px; beyond the border the nearest pixel counts.
 
-    Two products with matrices: torch's convolution of one channel takes ten times as long at these sizes.
+    The result is larger than the image by `margin` pixels on each side. Two matrix products are used: torch's
+    convolution of one channel takes ten times as long at these sizes.
     """
     height, width = image.shape[-2:]
     down, across = (_gaussian(size, scale, margin, image) for size in (height, width))
@@ -172,7 +179,7 @@ def blur(image: Tensor, scale: float, margin: int = 0) -> Tensor:
 
 
 def _gaussian(size: int, scale: float, margin: int, like: Tensor) -> Tensor:
-    """(size + 2 margin, size) weights of a Gaussian by which a line of pixels is blurred."""
+    """Return the matrix (size + 2 margin, size) that blurs a line of `size` pixels by a Gaussian."""
     half = math.ceil(_REACH * scale)
     offsets = torch.arange(-half, half + 1, device=like.device)
     weights = torch.exp(-offsets.to(torch.float64).square() / (2 * scale**2))
@@ -184,8 +191,10 @@ def _gaussian(size: int, scale: float, margin: int, like: Tensor) -> Tensor:
 
 
 def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
-    """Step (..., 2) from the middle of 3 x 3 values (9, ...) to the summit of their quadratic, at most half a pixel
-    each way, and the inverse (..., 2, 2) of its curvature.
+    """Return the step (..., 2) from the centre of 3 x 3 values (9, ...) to the extremum of their quadratic, at most 0.6
+    px in x and y, and the inverse (..., 2, 2) of its second derivatives.
+
+    Where the quadratic has no extremum, the step is 0 and the inverse NaN.
     """
     a, b, c, d, e, f, g, h, i = near
     slope = torch.stack((f - d, h - b), dim=-1) / 2
@@ -199,12 +208,12 @@ def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _noise(frames: Tensor) -> Tensor:
-    """Standard deviation (B,) of a pixel, grey levels, with that of rounding."""
+    """Return the noise standard deviation (B,) of a pixel in grey levels, including the rounding of integer frames."""
     return (estimate_noise(frames).square() + (0.0 if frames.is_floating_point() else 1 / 12)).sqrt()
 
 
 def _between(strength: Tensor) -> float:
-    """Otsu's threshold of some numbers: the cut with the largest variance between the two sides."""
+    """Return Otsu's threshold of values: it maximises the variance between the classes; -inf below two values."""
     ordered = strength.double().sort().values
     count = len(ordered)
     if count < 2:

@@ -1,1 +1,1 @@
-"""Points of the skin: corners, subsets (templates), registration, outliers."""
+"""Tracking of skin points: corners, subsets (templates), registration, outliers."""

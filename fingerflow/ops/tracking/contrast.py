@@ -1,4 +1,4 @@
-"""Ridges made visible in the topographic view: background off, contrast stretched, edges sharpened."""
+"""Contrast of ridges in the topographic view: background subtraction, contrast stretching, unsharp masking."""
 
 import kornia.filters
 import torch
@@ -8,17 +8,17 @@ from fingerflow.ops.filters.quantile import frame_quantile
 
 
 def subtract_background(frames: Tensor, background: Tensor) -> Tensor:
-    """frames - background, signed, so that nothing wraps around zero as it would in uint8.
+    """Return frames - background as signed floating values, which do not wrap around zero as uint8 would.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating.
         background: (1 or B, 1, H, W), the same view without a finger.
 
     Returns:
-        (B, 1, H, W) float32 (float64 if an input is). Non-finite pixels stay so.
+        (B, 1, H, W) float32 (float64 if an input is). Non-finite pixels stay non-finite.
 
     Raises:
-        ValueError: shapes that do not fit.
+        ValueError: the shapes of `frames` and `background` do not match.
     """
     _check(frames)
     if background.shape[1:] != frames.shape[1:] or background.shape[0] not in (1, frames.shape[0]):
@@ -57,16 +57,16 @@ def stretch_contrast(frames: Tensor, lower: float = 0.01, upper: float = 0.99) -
 
 
 def unsharp_mask(frames: Tensor, sigma: float, amount: float = 1.0) -> Tensor:
-    """frames + amount (frames - Gaussian blur of frames): details smaller than `sigma` are raised by 1 + amount.
+    """Return frames + amount (frames - blurred frames): details smaller than `sigma` grow by a factor of 1 + amount.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating.
-        sigma: standard deviation of the Gaussian in pixels, cut at 4 sigma; outside the frame the nearest pixel counts.
+        sigma: standard deviation of the Gaussian blur in pixels, truncated at 4 sigma; the border is replicated.
         amount: gain of the detail; 0 leaves the frame as it is.
 
     Returns:
-        (B, 1, H, W) float32 (float64 for float64 input), not clipped. A NaN or an infinity spoils the pixels within
-        4 sigma.
+        (B, 1, H, W) float32 (float64 for float64 input), not clipped. A NaN or infinite pixel invalidates all pixels
+        within 4 sigma.
 
     Raises:
         ValueError: `sigma` is not positive, or `frames` is not (B, 1, H, W).

@@ -1,4 +1,4 @@
-"""Skin points worth tracking: corners with gradients in two directions (Shi & Tomasi 1994), well apart."""
+"""Detection of corners for tracking: gradients in two directions (Shi & Tomasi 1994), a minimum distance apart."""
 
 import math
 from typing import NamedTuple
@@ -13,18 +13,20 @@ from fingerflow.ops.contact.cells import widest
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
 
-_GRADIENT_SCALE = 8  # of Sobel's gradient in whole numbers
-# White noise of variance 1 leaves this variance in a component of the gradient: the sum of its squared weights,
-# (1 + 4 + 1) 2.
+_GRADIENT_SCALE = 8  # the integer Sobel gradient divided by the gradient per pixel
+# Variance of a gradient component for white noise of variance 1: the sum of the squared weights is (1 + 4 + 1) 2.
 _GRADIENT_NOISE = 12 / _GRADIENT_SCALE**2
-# Below this share of the larger eigenvalue the smaller one is what float32 leaves of a difference of equal numbers.
+# Below this share of the larger eigenvalue the smaller one is a float32 rounding error of a difference.
 _ROUNDING = 1e-5
 
 
 class Corners(NamedTuple):
-    """Strongest first: `points` (B, count, 2) as (x, y) px, `response` (B, count), `valid` (B, count) bool.
+    """Corners of B frames, strongest first; where a frame has fewer than `count`, the rest is NaN and not valid.
 
-    Where fewer corners than `count` exist, the rest is NaN and not valid.
+    Attributes:
+        points: (B, count, 2) as (x, y) px.
+        response: (B, count), see `corner_response`.
+        valid: (B, count) bool.
     """
 
     points: Tensor
@@ -43,35 +45,37 @@ def detect_corners(
     border: int = 0,
     noise: float | None = None,
 ) -> Corners:
-    """The `count` strongest corners at least `min_distance` apart, on whole pixels.
+    """Return the `count` strongest corners that are at least `min_distance` apart, on whole pixels.
 
-    Candidates are the local maxima of `corner_response` (3 x 3). Taken strongest first, each is kept unless it lies
-    nearer than `min_distance` to one that is kept already; of equally strong ones the first in reading order goes
-    first. Tracking finds sub-pixel displacements from whole-pixel starts, so the positions are not refined.
+    Candidates are the local maxima (3 x 3) of `corner_response`. They are visited in order of strength; equally strong
+    ones in reading order. A candidate is kept unless it lies nearer than `min_distance` to one that is already kept.
+    The positions are not refined: tracking finds sub-pixel displacements from whole-pixel reference positions.
 
-    A response must pass three thresholds. `quality` is relative to the strongest response of the frame (inside mask
-    and border), and by itself it finds corners in the noise of a blank frame. So the response must also exceed what no
-    window of pure white noise reaches; and 1e-5 of the other eigenvalue, because a pattern of one direction (the
-    aperture problem) leaves a rounding error there.
+    A response must exceed three thresholds:
+    - `quality` times the strongest response of the frame inside mask and border. Alone, it would accept corners in the
+      noise of a blank frame.
+    - The response that no window of pure white noise reaches.
+    - 1e-5 of the larger eigenvalue. A pattern of one direction (the aperture problem) leaves a rounding error of that
+      size.
 
     Args:
         frame: (B, 1, H, W), integers or floating, H and W at least 3.
-        count: number of corners a frame.
+        count: number of corners per frame.
         min_distance: px, Euclidean; exactly this distance is allowed.
         mask: (B or 1, 1, H, W) bool, where corners may lie; None for everywhere.
-        quality: least share of the strongest response.
+        quality: smallest share of the strongest response.
         window: side of the window of the structure tensor, px, odd.
         border: px at each side of the frame without corners: half a tracking window keeps that window inside.
-        noise: standard deviation of the camera noise in the units of `frame`; None to estimate it a frame
-            (`estimate_noise`), to which integers add the variance of rounding, 1/12. The estimate takes texture
-            finer than about 4 px for noise: give the camera's noise where such texture is to be tracked.
+        noise: standard deviation of the camera noise in the units of `frame`. None estimates it per frame
+            (`estimate_noise`) and adds the rounding variance 1/12 for integer frames. The estimate mistakes texture
+            finer than about 4 px for noise: pass the camera's noise where such texture is to be tracked.
 
     Returns:
-        `Corners`, float32 (float64 for float64 frames). uint8 frames are worked on in whole numbers up to the
-        eigenvalues. Non-finite pixels spoil the windows that hold them, and nothing else.
+        `Corners`, float32 (float64 for float64 frames). For uint8 frames the arithmetic is exact up to the eigenvalues.
+        A non-finite pixel invalidates only the windows that contain it.
 
     Raises:
-        ValueError: a shape or a number out of its range, with its value.
+        ValueError: a shape or a number is out of range; the message gives its value.
     """
     if count < 0 or border < 0 or not min_distance >= 0 or not 0 <= quality <= 1:
         raise ValueError(
@@ -110,16 +114,16 @@ def detect_corners(
 
 
 def corner_response(frame: Tensor, window: int = 7) -> Tensor:
-    """The smaller eigenvalue of the structure tensor: the mean squared gradient along the direction that has least.
+    """Return the smaller eigenvalue of the structure tensor: the least mean squared gradient along any direction.
 
     Args:
         frame: (B, 1, H, W), integers or floating.
         window: side of the box over which the tensor is averaged, px, odd.
 
     Returns:
-        (B, 1, H, W) in (grey level / px)^2, float32 (float64 for float64 frames); NaN where the window and the
-        gradient's pixel around it hold a non-finite pixel. Outside the frame the nearest pixel counts. Gradients flow,
-        except where both eigenvalues are equal.
+        (B, 1, H, W) in (grey level / px)^2, float32 (float64 for float64 frames). NaN where the window, or the pixel
+        around it that the gradient needs, contains a non-finite pixel. The border is replicated. Differentiable, except
+        where both eigenvalues are equal.
 
     Raises:
         ValueError: `frame` is not (B, 1, H, W) or `window` is not odd and positive.
@@ -136,7 +140,7 @@ def _check_frame(frame: Tensor, window: int) -> None:
 
 
 def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
-    """Smaller and larger eigenvalue of the structure tensor, (B, 1, H, W) each."""
+    """Return the smaller and the larger eigenvalue of the structure tensor, (B, 1, H, W) each."""
     whole = frame.dtype == torch.uint8
     values = frame.double() if whole or frame.dtype == torch.float64 else frame.float()
     values = torch.where(values.isfinite(), values, torch.nan)
@@ -149,9 +153,9 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
     xx, xy, yy = tensor.split(1, 1)
     both, apart, twice = xx + yy, xx - yy, 2 * xy
     if whole:
-        # Whole numbers up to here; from here on single roundings in a fixed order, as the compiled twin takes them.
+        # Exact integers up to here. From here on every operation rounds once, in the same order as the compiled kernel.
         both, apart, twice = both.float(), apart.float(), twice.float()
-        # By way of float64: torch's float32 root is not the nearest number for all.
+        # Via float64: torch's float32 square root is not correctly rounded for all values.
         spread = (apart.square() + twice.square()).double().sqrt().float()
     else:
         spread = torch.hypot(apart, twice)
@@ -160,7 +164,7 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
 
 
 def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Sobel's derivative in eighths of a grey level a pixel: [-1 0 1] one way, [1 2 1] the other."""
+    """Return Sobel's derivatives in x and y, in eighths of a grey level per pixel: [-1 0 1] along, [1 2 1] across."""
     if values.numel() == 0:
         return values, values
     padded = functional.pad(values, (1, 1, 1, 1), mode="replicate")
@@ -170,17 +174,20 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """The response, for white noise of variance 1, that no window of pure noise reaches.
+    """Return a response that no window of pure white noise of variance 1 reaches.
 
-    The mean response of pure noise is its gradient variance; small windows scatter more around it. The largest of two
-    million windows, the frame's corners included, where few pixels count several times, was measured at 6.2, 4.4, 2.7
-    and 2.1 times the gradient variance for windows of 3, 5, 9 and 15 px; the line below stands at 7, 4.6, 3 and 2.2.
+    In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
+    maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
+    px. This includes the frame's corners, where a few pixels count several times. The formula gives 7, 4.6, 3 and 2.2.
     """
     return _GRADIENT_NOISE * (1 + 18 / window)
 
 
 def _noise_deviation(frame: Tensor) -> Tensor:
-    """(B,) grey levels; non-finite pixels are taken at the mean of the others, which hardly raises the estimate."""
+    """Estimate the standard deviation of the noise, (B,) grey levels.
+
+    Non-finite pixels are replaced by the mean of the others, which hardly raises the estimate.
+    """
     if min(frame.shape[-2:]) < 3:
         raise ValueError(f"frame of {tuple(frame.shape[-2:])} px: noise needs at least 3 x 3 px; give noise=")
     if frame.is_floating_point():
@@ -188,12 +195,12 @@ def _noise_deviation(frame: Tensor) -> Tensor:
         zeroed = torch.where(finite, values, 0.0)
         mean = zeroed.sum((1, 2, 3), keepdim=True) / finite.sum((1, 2, 3), keepdim=True).clamp(min=1)
         return estimate_noise(torch.where(finite, values, mean))
-    # Of noise under a grey level rounding leaves few, isolated ones, which a mean absolute value underrates.
+    # Rounding turns noise below one grey level into few isolated steps, which a mean absolute value underestimates.
     return (estimate_noise(frame).square() + 1 / 12).sqrt()
 
 
 def _inside(frame: Tensor, border: int) -> Tensor:
-    """(1, 1, H, W) bool: pixels at least `border` away from the edge of the frame."""
+    """Return a mask (1, 1, H, W) bool of the pixels at least `border` away from the edge of the frame."""
     height, width = frame.shape[-2:]
     y, x = torch.arange(height, device=frame.device), torch.arange(width, device=frame.device)
     rows, columns = (y >= border) & (y < height - border), (x >= border) & (x < width - border)
@@ -217,13 +224,14 @@ def _as_many(response: Tensor, candidate: Tensor, count: int, min_distance: floa
 
 @torch_op(shapes=_as_many)
 def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
-    """Pixels (B, count) int64 of frames, row after row, strongest first, none nearer to a stronger one than
-    `min_distance`; -1 behind the last.
+    """Return flat pixel indices (B, count) int64 of the strongest candidates that are at least `min_distance` apart.
+
+    They are sorted by strength; -1 fills the places behind the last.
     """
     batch, _, height, width = response.shape
     frame, y, x = candidate[:, 0].nonzero().unbind(1)
     strength = response[:, 0][candidate[:, 0]]
-    # Frame by frame, strongest first; both sorts keep reading order among equals.
+    # By frame, then by strength; both sorts are stable and keep the reading order of equals.
     order = strength.sort(descending=True, stable=True).indices
     order = order[frame[order].sort(stable=True).indices]
     frame, y, x = frame[order], y[order], x[order]
@@ -239,13 +247,13 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Which candidates, given strongest first, the greedy rule keeps: the same answer for many at a time.
+    """Return which candidates, sorted by strength, the greedy selection keeps; the parallel form gives the same result.
 
-    The frame is divided into cells so small that two candidates of one cell are always too near. A candidate that
-    is the first of all undecided ones in the cells around it will be kept whatever happens elsewhere; it then removes
-    those near it, and so on until all are decided.
+    The frame is divided into cells so small that two candidates of one cell are always too near. A candidate that comes
+    first among all undecided ones of the surrounding cells is certain to be kept. It then removes the candidates near
+    it. Both steps repeat until all candidates are decided.
     """
-    if distance <= 1:  # different pixels are never nearer
+    if distance <= 1:  # distinct pixels are never nearer than 1 px
         return torch.ones_like(x, dtype=torch.bool)
     side = max(1, math.ceil(distance / math.sqrt(2)))  # (side - 1) sqrt(2) < distance
     around = math.ceil(distance / side)
@@ -254,12 +262,12 @@ def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int]
     offset = torch.arange(-around, around + 1, device=x.device)
     around_cell = (offset[:, None] * columns + offset).flatten()
 
-    none = len(x)  # an index beyond all candidates
+    none = len(x)  # stands for no candidate
     nobody = cell.new_full((shape[0] * rows * columns,), none)
-    far = x.new_full((1,), 1 << 30)  # where nobody is
+    far = x.new_full((1,), 1 << 30)  # position of the missing candidate
     x, y = torch.cat([x, far]), torch.cat([y, far])
     kept = torch.zeros_like(x[:-1], dtype=torch.bool)
-    index = torch.arange(none, device=x.device)  # of the undecided
+    index = torch.arange(none, device=x.device)  # undecided candidates
     while len(index):
         neighbours = cell[index, None] + around_cell
         first = nobody.scatter_reduce(0, cell[index], index, "amin")

@@ -1,12 +1,13 @@
-"""What a deformation that a template does not know does to a point found by it: E = F F_0^-1 - I of the skin since.
+"""Correction of tracked points for the deformation E = F F_0^-1 - I of the skin since their templates were prepared.
 
-F = I + du/dX by local fits in the key frame. Against it a template that was prepared with another F_0 leans: to first
-order a point appears displaced by D E, D the template's own (`Number.LEAN`). What varies within a window beyond F
-displaces it as a whole: u(p + w) = u + F w + w'Hw / 2, and the mean of w'Hw / 2 over a square of n px, the Laplacian of
-u times (n^2 - 1) / 24, is taken off. At n = 25 it is 0.02 px where the divergence of skin changes by 2 % a mm.
+F = I + du/dX is estimated by local fits in the key frame; a template was prepared with F_0. To first order E displaces
+the tracked point by D E, where D depends on the template (`Number.LEAN`). Displacement that varies within a window
+beyond F adds a second bias: with u(p + w) = u + F w + w'Hw / 2, the mean of w'Hw / 2 over a square of n px is the
+Laplacian of u times (n^2 - 1) / 24. Both are subtracted. At n = 25 the second is 0.02 px where the divergence of skin
+changes by 2 % per mm.
 
-What E bends within the window stays in the residual, e'Qe (`Number.BENDING`), where it would count as noise: it is
-taken off the covariance, of which the noise of the key frame is left at least.
+E also leaves a residual e'Qe (`Number.BENDING`) in the window, which would count as noise. It is subtracted from the
+covariance, down to the contribution of the key frame's noise.
 """
 
 import torch
@@ -33,21 +34,21 @@ def correct_points(
     gauge_px: float,
     support: Support | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Return points of K frames, corrected for the deformation of the skin that they show.
+    """Return points of K frames, corrected for the measured deformation of the skin.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.
-        points: (K, N, 2) px as they were found, NaN where they were not, and their covariance (K, N, 2, 2) px^2.
-        covariance: see `points`.
-        numbers: (1 or K, N, 32) `Templates.numbers`.
+        points: (K, N, 2) px as tracked; NaN where a point was not found.
+        covariance: (K, N, 2, 2) px^2 of `points`.
+        numbers: (1 or K, N, 32) template statistics (`Templates.numbers`).
         inverse_warp: (1 or K, N, 2, 2) F_0^-1 with which the templates were prepared.
         window: px, side of a template.
         gauge_px: diameter of the local fits.
-        support: `neighbours_support` of the start, if that is known.
+        support: `neighbours_support` of `start`, to save computing it.
     """
     given = start, points, covariance, numbers, inverse_warp
     if kernels.serve(*given) and all(one.dtype == torch.float32 for one in given) and len(start):
-        count = len(points) if len(start) == 1 else 1  # frames a call, which are of one key frame
+        count = len(points) if len(start) == 1 else 1  # frames per call: those that share a key frame
         each = [
             kernels.correct_points(
                 *(start[k], points[k : k + count], covariance[k : k + count], numbers[k], inverse_warp[k]),
@@ -59,7 +60,7 @@ def correct_points(
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
     expected, gradient = neighbour_planes(start, points - start, gauge_px, support)
     _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
-    # Components before points from here on, (K, 4, N): runtimes are slow where the last axis is short.
+    # From here on components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     second = second.flatten(2).mT
     laplacian = second[:, ::4] + second[:, 3::4]
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
@@ -78,12 +79,15 @@ def correct_points(
 
 
 def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Covariances (K, N, 2, 2) without what the residual owes to E (K, 4, N), for numbers (K, 32, N) of templates."""
+    """Return covariances (K, N, 2, 2) without the part of the residual due to E (K, 4, N).
+
+    `of` (K, 32, N) are the template statistics.
+    """
     pairs = torch.cat([unknown[:, k : k + 1] * unknown[:, k:] for k in range(4)], dim=1)
     bending = sum_rows(of[:, Number.BENDING :] * pairs)
     freedom = (window**2 - 4) * limits.VALUE_NOISE
     unit = of[:, Number.COVARIANCE_XX : Number.COVARIANCE_XX + 1]
-    # All of a covariance is in proportion to the variance of a pixel: one ratio says how much of it remains.
+    # A covariance is proportional to the noise variance of a pixel, so one ratio scales all components.
     noise = covariance[..., 0, 0][:, None] / unit
     least = torch.minimum(noise, of[:, Number.NOISE : Number.NOISE + 1])
     remaining = torch.maximum(noise - bending / freedom, least)
@@ -91,7 +95,7 @@ def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) 
 
 
 def _multiplied(a: Tensor, b: Tensor) -> Tensor:
-    """Products (K, 4, N) of matrices (K or 1, 4, N), by xx, xy, yx, yy."""
+    """Return products (K, 4, N) of matrices (K or 1, 4, N), components ordered xx, xy, yx, yy."""
     rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))
     result: Tensor = (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
     return result

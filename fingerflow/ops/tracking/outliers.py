@@ -1,4 +1,4 @@
-"""Which tracked points are off what their neighbours say, and which are far more uncertain than they."""
+"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than they."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,12 @@ _LEAST = 1e-30
 
 
 class Neighbours(NamedTuple):
-    """The k nearest neighbours of N points, nearest first: numbers (P, k, N), offsets (P, k, N, 2), and whether they
-    lie within the gauge length and are known, (P, k, N) of 0 and 1.
+    """The k nearest neighbours of N points, nearest first.
+
+    Attributes:
+        number: (P, k, N) int64, indices of the neighbours.
+        offset: (P, k, N, 2) from the point to the neighbour; 0 where not `within`.
+        within: (P, k, N), 1 where the neighbour has a position no farther away than half the gauge length, else 0.
     """
 
     number: Tensor
@@ -23,10 +27,12 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """(B, N) bool each; neither where a displacement is unknown or has fewer than five neighbours that are known.
+    """Flags of points, (B, N) bool each.
+
+    Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 
     Attributes:
-        off_neighbours: the displacement is not what any local plane through its neighbours allows.
+        off_neighbours: the displacement disagrees with every local plane through its neighbours.
         uncertain: the standard deviation is far above that of the neighbours.
     """
 
@@ -35,19 +41,22 @@ class Outliers(NamedTuple):
 
 
 def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """The points to judge each point by, once for all frames of the same points.
+    """Return the neighbours by which each point is judged, once for all frames of the same points.
 
     Args:
-        positions: (P, N, 2) of reference, NaN where there is none. N is 2 or more.
+        positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
         gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
+
+    Raises:
+        ValueError: fewer than 2 points.
     """
     if positions.shape[1] < 2:
         raise ValueError(f"{positions.shape[1]} points have no neighbours: give 2 or more")
-    # Components by themselves, and the nearest along rows, as distances are the same both ways: half the time.
+    # x and y separately, and topk along rows, which the symmetry of distances allows: half the time.
     across, down = (one[:, None] - one[:, :, None] for one in positions.unbind(-1))
     distance = across * across + down * down
     apart = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
-    distance = torch.where(apart & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is nowhere near
+    distance = torch.where(apart & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is never near
     nearest = distance.topk(min(limits.NEIGHBOURS, positions.shape[1] - 1), dim=2, largest=False)
     number, within = nearest.indices.mT.contiguous(), nearest.values.mT.contiguous() < torch.inf
     there = positions.gather(1, number.flatten(1)[..., None].expand(-1, -1, 2)).unflatten(1, number.shape[1:])
@@ -56,20 +65,24 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
 
 
 def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Tensor) -> Outliers:
-    """Points whose displacement or uncertainty stands out among their neighbours.
+    """Flag points whose displacement or uncertainty stands out among their neighbours.
 
-    A neighbour agrees with a point where both lie on one plane of slope G to within their standard deviations: it
-    leaves z^2 = |u_j - u_i - G (x_j - x_i)|^2 / (s_i^2 + s_j^2). The disagreement of a point is the harmonic mean of
-    1 + z^2 over its neighbours, which the few that agree decide: of a point beside a slip front half do, at a corner of
-    one a quarter, and of a wrong match none. It is compared with the neighbours' own, so that what the texture of a
-    field adds to all counts for nothing: the idea of the normalised median test (Westerweel & Scarano 2005,
-    Experiments in Fluids 39, 1096), which takes medians for both and knows no slope.
+    A point i and a neighbour j agree if both lie on one plane of slope G to within their standard deviations. Their
+    misfit is z^2 = |u_j - u_i - G (x_j - x_i)|^2 / (s_i^2 + s_j^2). The disagreement of a point is the square root of
+    the harmonic mean of 1 + z^2 over its neighbours. The few neighbours that agree dominate this mean: half of them
+    beside a slip front, a quarter at its corner, none for a wrong match. A point is flagged if its disagreement exceeds
+    a multiple of its neighbours' own (their harmonic mean), so that texture common to the whole field cancels. This
+    follows the normalised median test (Westerweel & Scarano 2005, Experiments in Fluids 39, 1096), which takes medians
+    for both and has no slope.
 
-    G is tried in three ways, and the best counts: none; the slope of a plane through those neighbours that are close to
-    the point (one step of reweighting, and not through the point itself); and the mean of these slopes over the
-    neighbourhood, by how well each fits, which beside a front is that of the side without it.
+    G is the best of three candidates:
+    - None (G = 0).
+    - The slope of a plane fitted to those neighbours that are close to the point in displacement (one step of
+      reweighting). The plane need not pass through the point itself.
+    - The mean of these slopes over the neighbourhood, weighted by how well each fits. Beside a front this is the slope
+      of the side without the front.
 
-    A point that agrees with a neighbour, because both are wrong alike, is not told from one at a front.
+    Neighbouring points that are wrong in the same way cannot be distinguished from points at a slip front.
 
     Args:
         neighbours: from :func:`find_neighbours`, for P = B, or P = 1 for all frames.
@@ -77,9 +90,9 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
         position_std: (B, N) standard deviation of a component.
     """
     index, offset, within = neighbours
-    # (P, k, N), broadcast over frames; each by itself in memory: pairs side by side are gone through one by one.
+    # (P, k, N), broadcast over frames. Contiguous: interleaved pairs would not be vectorised.
     x, y = (part.contiguous() for part in offset.unbind(-1))
-    known = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all that is of points
+    known = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all quantities per point
     one = known.to(displacement.dtype)
     sure = torch.where(known, position_std[:, None], 1.0).clamp_min(limits.LEAST_DEVIATION)
     u, v = torch.where(known, displacement.mT, 0.0).split(1, dim=1)
@@ -100,7 +113,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     total = total.clamp_min(_LEAST)
     _, borrowed = _agreement(*_above([part / total for part in slopes], x, y, u, v), precision, weight, number)
     disagreement = torch.minimum(torch.minimum(level, fitted), borrowed).sqrt()
-    # Harmonic means over the neighbours of their disagreement and deviation: the outliers among them hardly count.
+    # Harmonic means of the disagreement and deviation of the neighbours: outliers among them hardly contribute.
     usual, usual_deviation = (
         number / _total(part * weight).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
     )
@@ -112,14 +125,14 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
 
 
 def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-    """Values (B, 1, N) each of the neighbours, (B, k, N) each, by numbers (1 or B, k, N)."""
+    """Gather values (B, 1, N) of the neighbours, (B, k, N) each, by indices (1 or B, k, N)."""
     batch, _, points = values[0].shape
     if index.shape[0] != 1:
         return tuple(one[:, 0].gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
     rows, number = torch.cat(values, dim=1), index.flatten()
-    if torch.compiler.is_exporting() or not batch:  # runtimes of ONNX take single numbers so in a quarter of the time
+    if torch.compiler.is_exporting() or not batch:  # this form of gather takes ONNX runtimes a quarter of the time
         there = rows.gather(2, number.to(torch.int32).expand(batch, len(values), -1))
-    elif looks(rows):  # numbers of one row at a time are taken twice as fast
+    elif looks(rows):  # selecting from one row at a time is twice as fast
         there = torch.stack([row.index_select(0, number) for row in rows.flatten(0, 1)])
     else:
         there = rows.index_select(2, number)
@@ -134,15 +147,19 @@ def _total(values: Tensor) -> Tensor:
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """z^2 (B, k, N) of differences, and the harmonic mean (B, 1, N) of 1 + z^2 over the neighbours, 1 without any."""
+    """Return z^2 (B, k, N) of differences, and the harmonic mean (B, 1, N) of 1 + z^2 over the neighbours.
+
+    The mean is 1 where there are no neighbours.
+    """
     distance = (u * u + v * v) * precision
     agreeing = _total(weight / (1 + distance))
     return distance, torch.where(number > 0, number / agreeing.clamp_min(_LEAST), 1.0)
 
 
 def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
-    """Slopes (B, 1, N) du/dx, du/dy, dv/dx, dv/dy of the planes through differences (B, k, N) at offsets x and y, by
-    least squares with weights (B, k, N).
+    """Return slopes (B, 1, N) du/dx, du/dy, dv/dx, dv/dy of planes fitted by weighted least squares.
+
+    The data are differences u and v (B, k, N) at offsets x and y, with weights (B, k, N).
     """
     by_x, by_y = weight * x, weight * y
     total, sum_x, sum_y = (_total(part) for part in (weight, by_x, by_y))
@@ -164,6 +181,6 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """What differences (B, k, N) leave above planes of slopes (B, 1, N)."""
+    """Return the residuals of differences u, v (B, k, N) from planes with slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

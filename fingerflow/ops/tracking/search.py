@@ -1,4 +1,4 @@
-"""Exhaustive search for windows that moved further than Lucas-Kanade can follow."""
+"""Exhaustive search for windows that moved farther than Lucas-Kanade registration can follow."""
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +10,7 @@ from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 
-_CHUNK = 128  # points a pass, which bounds the memory of the transforms
+_CHUNK = 128  # points per pass, which bounds the memory of the transforms
 
 
 def search_windows(
@@ -22,26 +22,26 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """The place of highest normalised cross-correlation (ZNCC) within ``radius`` px of ``guess`` in x and y; of several
-    that are as high to `SEARCH_TIE`, the one nearest to ``guess``.
+    """Return the position of highest normalised cross-correlation (ZNCC) within `radius` px of `guess` in x and y.
 
-    Works on the images at half resolution through the Fourier transform, so it serves as the start of
-    :func:`~fingerflow.ops.tracking.track_points.track_points`, not in its place: the answer is good to about a pixel.
+    Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess` is returned.
 
-    A pyramid of Lucas-Kanade would be cheaper, but does not work on skin: ridges are a narrow band of frequencies,
-    the levels that
-    could bridge 50 px contain none of them, and what remains there is the illumination, which does not move.
+    The search runs through the Fourier transform on images of half resolution and is accurate to about a pixel. Its
+    result is a starting position for :func:`~fingerflow.ops.tracking.track_points.track_points`, not a replacement.
+
+    A Lucas-Kanade pyramid would be cheaper but fails on skin. Ridges occupy a narrow frequency band, which the levels
+    that could bridge 50 px do not contain. What remains there is the illumination, which does not move.
 
     Args:
         template_images, images: (B, 1, H, W), 8 to 16 bit or floating.
-        image_index: (P,) int64.
-        points: (P, 2) px in ``template_images``.
-        guess: (P, 2) px in ``images``.
+        image_index: (P,) int64, index of the image of each point.
+        points: (P, 2) px in `template_images`.
+        guess: (P, 2) px in `images`.
         window: side of the tracking window, px.
         radius: px.
 
     Returns:
-        (P, 2) px; ``guess`` where it is not finite or nothing correlates.
+        (P, 2) px; `guess` where the point or its guess is not finite, or where no position correlates positively.
     """
     coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
     size, reach = sizes_of(window, radius)
@@ -69,11 +69,14 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """The places (P, 2) of `search_windows`, and whether (P,) a search back from there, which does not know the way,
-    returns to the start within the limit and the pixel that a search is good to.
+    """Return the positions (P, 2) of `search_windows`, and whether (P,) a search back from them returns to the start.
+
+    The search back is independent of the displacement found. It must end within `forward_backward_limit`, plus the
+    pixel to which a search is accurate.
 
     Args:
-        key, current: (B, 1, H, W); others as for `search_windows`.
+        key, current: (B, 1, H, W).
+        start: (P, 2) px in `key`, the `points` of `search_windows`; the other arguments as there.
         forward_backward_limit: px.
     """
     ahead = search_windows(key, current, image_index, start, guess, window, radius)
@@ -87,10 +90,10 @@ def _search_coarse(
     half = size // 2
     span = 2 * reach + 1
     finite = points.isfinite().all(-1) & guess.isfinite().all(-1)
-    # Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
+    # Pixel i of the half-resolution image is centred at 2 i + 1/2 in the full image.
     start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
     center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
-    # In double, as transforms round by the whole patch, and a window may hold a thousandth of its contrast.
+    # float64: transforms round relative to the whole patch, and a window may have a thousandth of its contrast.
     template = cut_windows(templates, image_index, start.long() - half, size).double().nan_to_num(0.0, 0.0, 0.0)
     patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1)
     patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
@@ -98,7 +101,7 @@ def _search_coarse(
     patch = patch - patch.mean((-1, -2), keepdim=True)
     product = _correlated(patch, template, span)
     deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
-    # A window without contrast correlates with nothing; the bound keeps rounding from making one win.
+    # A window without contrast correlates with nothing; the bound keeps rounding errors from selecting one.
     least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(torch.float32).tiny
     score = torch.where(deviation > least, product / deviation.clamp_min(least).sqrt(), -torch.inf)
     best = _nearest_of_highest(score.flatten(1), span)
@@ -117,28 +120,31 @@ def _search_coarse(
         dim=-1,
     )
     moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
-    # The motion of the template's pixel, carried over to the point itself.
+    # The displacement of the template's centre pixel, applied to the point itself.
     result = points + 2 * (center + moved - start)
     return torch.where((finite & (peak > 0))[:, None], result, guess)
 
 
 def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
-    """Sums (P, span, span) of templates (P, n, n) times patches (P, n + span - 1, n + span - 1), shift by shift."""
+    """Return sums (P, span, span) of templates (P, n, n) times patches (P, m, m) at every shift; m = n + span - 1."""
     size = template.shape[-1]
-    if torch.compiler.is_exporting():  # runtimes of ONNX take six times as long for the transforms of small patches
+    if torch.compiler.is_exporting():  # transforms of small patches take ONNX runtimes six times as long
         columns = [patch[:, :, shift : shift + size] for shift in range(span)]
         sums = [(one[:, down : down + size] * template).sum((1, 2)) for down in range(span) for one in columns]
         stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
         return stacked
     shape = patch.shape[-2:]
-    # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
+    # Not `conj`: torch 2.13 loses a lazy conjugation in an op that is called from compiled code.
     spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
     sums_of_all: Tensor = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
     return sums_of_all
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
-    """Numbers (P,) of the highest of scores (P, span span), to `SEARCH_TIE`; of several the nearest to the middle."""
+    """Return the index (P,) of the highest of scores (P, span span).
+
+    Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
+    """
     highest = score.amax(1, keepdim=True)
     number = torch.arange(span * span, device=score.device)
     away = (number // span - span // 2) ** 2 + (number % span - span // 2) ** 2
@@ -147,8 +153,9 @@ def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
 
 
 def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
-    """Where the parabola through three neighbouring scores has its maximum, in -1/2 .. 1/2 from the middle one; there,
-    where they are equal to `SEARCH_TIE`.
+    """Return the maximum of the parabola through three neighbouring scores, within -1/2 .. 1/2 of the middle one.
+
+    It is 0 where the scores are equal to within `SEARCH_TIE`.
     """
     curvature = before - 2 * peak + after
     return (
@@ -159,7 +166,7 @@ def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
 
 
 def _box_sum(x: Tensor, size: int) -> Tensor:
-    """Sums (float64) over size x size windows of (P, h, w), by running sums along each axis."""
+    """Return sums (float64) over size x size windows of (P, h, w), from cumulative sums along each axis."""
     total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
     total = total[:, size:] - total[:, :-size]
     total = F.pad(total.cumsum(2), (1, 0))

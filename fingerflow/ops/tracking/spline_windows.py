@@ -1,9 +1,9 @@
-"""Windows around points as batched products: patches of pixels, and their spline at a fractional shift.
+"""Windows around points as batched matrix products: patches of pixels and their spline at a fractional shift.
 
-A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, p its patch of pixels and B the matrix with the weights
-of s along its band: those of the cubic B-spline spread by the smoothing that its coefficients ask for
-(`ops.filters.spline`). No image of coefficients is formed. The weights at the whole places -2 to 2 are functions of the
-shift within (-1, 1): with u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 4 v^3) / 6.
+A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, with the patch of pixels p. B is a band matrix of the
+weights of s: those of the cubic B-spline, convolved with the smoothing that yields its coefficients
+(`ops.filters.spline`). No image of coefficients is formed. The weights at the whole positions -2 to 2 are functions of
+the shift within (-1, 1): with u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 4 v^3) / 6.
 """
 
 import torch
@@ -13,26 +13,27 @@ from torch.nn import functional
 from fingerflow.ops.filters.windows import lines_of
 from fingerflow.ops.looking import looks
 
-MARGIN = 3  # px of a patch around its window: two of the spline at the reach, one of the smoothing
+MARGIN = 3  # px of a patch around its window: two for the support of the spline, one for the smoothing
 TAPS = 5
 
 
 def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> Tensor:
-    """Pixels (P, side, side) of views (B, 1, H, W) around whole pixels (B, 2, N), x first; P = B N, side = size + 6.
+    """Cut patches (P, side, side) of views (B, 1, H, W) around whole pixels (B, 2, N), x first.
 
-    Pixels beyond the border repeat the border; a window that would reach farther than they do is moved inwards.
+    P = B N and side = size + 6. The border is replicated; a window that would reach beyond the replicated border is
+    moved inwards.
     """
     side = size + 2 * MARGIN
-    # Bytes are copied as they are, a quarter of the memory.
-    border = max(MARGIN + 2, side - min(view.shape[-2:]))  # found inside, a window may stand beside a pixel outside
+    # uint8 is copied unconverted: a quarter of the memory.
+    border = max(MARGIN + 2, side - min(view.shape[-2:]))  # a window that was found inside may need a pixel outside
     exporting = torch.compiler.is_exporting()
     few = not exporting or center.shape[2] * side * side < view.shape[2] * view.shape[3]
     plane = _bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
-    # Between floats: a runtime has two nodes for what lies between whole numbers.
+    # Clamped as floats: ONNX runtimes need two nodes to clamp integers.
     first = row.clamp(0.0, float(height - side)) * width + column.clamp(0.0, float(width - side))
-    # One number a window and one a pixel of it: sums of pairs of rows and columns take runtimes three times as long.
+    # Index: one number per window plus one per pixel. Adding rows and columns takes ONNX runtimes three times as long.
     whole = torch.int32 if exporting else torch.int64
     first = first.to(whole).transpose(1, 2)
     steps = torch.arange(side, dtype=whole, device=view.device)
@@ -46,12 +47,12 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 
 def taps(shift: Tensor) -> Tensor:
-    """b3(shift - place) at the five places, (..., 5) of shifts (...)."""
+    """Return b3(shift - k) at the five whole positions k = -2 .. 2, (..., 5) for shifts (...)."""
     return _values(*_distances(_from_places(shift)))
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """The same, and its derivatives."""
+    """Return the weights of `taps` and their derivatives, (..., 5) each."""
     beside = _from_places(shift)
     u, v = _distances(beside)
     return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()
@@ -61,7 +62,7 @@ def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
     """Return the spline on windows, (P, size size), at shifts (P, 2) px from the middles of patches (P, side, side)."""
     weights = taps(shift)
     if looks(patches, shift) and len(patches):
-        # Torch correlates every patch with weights of its own in half the time of products, ONNX Runtime in five times.
+        # A grouped convolution takes torch half the time of matrix products, and ONNX Runtime five times as long.
         weights = weights @ _smoothed(weights)
         both = weights[:, 1, :, None] * weights[:, 0, None, :]
         windows = functional.conv2d(patches[None], both[:, None], groups=len(patches)).squeeze(0)
@@ -71,9 +72,12 @@ def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
 
 
 def along_y(weights: Tensor, size: int) -> Tensor:
-    """(..., size, side): from the pixels of a column to the spline on a window, for taps (..., 5) of the shift in y."""
+    """Return matrices (..., size, side) from a pixel column to the spline on a window.
+
+    `weights` (..., 5) are the taps of the y shift.
+    """
     side = size + 2 * MARGIN
-    # Lines of a band that are a place longer than the matrix: laid end to end, each begins a place later in its row.
+    # Band lines one element longer than a matrix row: concatenated, each starts one column later in its row.
     line = functional.pad(_smoothed(weights), (0, side + 1 - TAPS - 2))
     bands = line[:, None].expand(TAPS, size, side + 1).flatten(1)[:, : size * side]
     result: Tensor = (weights @ bands).unflatten(-1, (size, side))
@@ -81,18 +85,18 @@ def along_y(weights: Tensor, size: int) -> Tensor:
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
-    """(..., side, size): the same for a line."""
+    """Return matrices (..., side, size) from a pixel row to the spline on a window, for taps of the x shift."""
     return along_y(weights, size).transpose(-1, -2)
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
-    """(..., side, side): what weights (..., size, size) of the spline at whole pixels are of the pixels themselves."""
+    """Return pixel weights (..., side, side) equivalent to weights (..., size, size) of the spline at whole pixels."""
     middle = along_y(taps(weights.new_zeros(())), size)
     return middle.T @ weights @ middle
 
 
 def _smoothed(like: Tensor) -> Tensor:
-    """(5, 7): from weights of coefficients to those of pixels."""
+    """Return the matrix (5, 7) from weights of the spline's coefficients to weights of pixels."""
     place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
     middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
     return middle / 2 + beside / 4
@@ -112,8 +116,8 @@ def _values(u: Tensor, v: Tensor) -> Tensor:
 
 
 def _bordered(view: Tensor, border: int) -> Tensor:
-    """A view (B, 1, H, W) of any number type with its border repeated (B, 1, H + 2 border, W + 2 border)."""
-    if torch.compiler.is_exporting():  # torch itself pads no bytes
+    """Replicate the border of a view (B, 1, H, W) of any dtype, to (B, 1, H + 2 border, W + 2 border)."""
+    if torch.compiler.is_exporting():  # torch does not pad uint8
         return functional.pad(view, (border,) * 4, mode="replicate")
     for dim in (2, 3):
         ends = view.narrow(dim, 0, 1), view.narrow(dim, view.shape[dim] - 1, 1)

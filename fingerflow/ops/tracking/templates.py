@@ -1,21 +1,21 @@
-"""Templates of points, prepared once in a key frame and found in many frames by steps of Lucas-Kanade.
+"""Templates of points, prepared once in a key frame and found in many frames by Lucas-Kanade steps.
 
-A template is the spline of the key frame on the window of a point, deformed like the skin since then: with the
-deformation gradient F its sample at the offset w of a frame is S_key(p + F^-1 w). In a frame the point lies at the y
-that solves sum_w g(w) (S(y + w) - T(w)) = 0, g the gradient of T (Lucas & Kanade 1981). With gain and offset free, g is
-taken without its parts along a constant and along T: then the equation holds whatever they are.
+A template is the spline of the key frame on the window of a point, deformed as the skin has been since. With the
+deformation gradient F, its sample at the offset w in a frame is S_key(p + F^-1 w). The point lies at the y that solves
+sum_w g(w) (S(y + w) - T(w)) = 0, with the gradient g of T (Lucas & Kanade 1981). If gain and offset are free, the
+components of g along a constant and along T are removed; then the equation holds for any gain and offset.
 
-*A step.* The window M is sampled where the point is expected. Its slopes are taken to be those of the template times
-the gain a, so that sum g g', known from the key frame, is all that a step asks for (Baker & Matthews, "Lucas-Kanade 20
-years on", IJCV 2004). It misses the root by 1 % of its length (window 25) to 2.4 % (window 11) at a noise of 2 grey
-levels, and ends the search where it is shorter than 0.1 px: by a fifteenth of a standard deviation at most. From where
-a longer one leads, another one is taken.
+*A step.* The window M is sampled at the predicted position. Its slopes are approximated by the gain a times those of
+the template. A step then only needs sum g g', known from the key frame (Baker & Matthews, "Lucas-Kanade 20 years on",
+IJCV 2004). It misses the root by 1 % of its length (window 25) to 2.4 % (window 11) at a noise of 2 grey levels. A step
+shorter than 0.1 px ends the search; the remaining error is at most a fifteenth of a standard deviation. After a longer
+step, another one starts from its end.
 
-*Backward check.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad
-D with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
-D grad D, which over a window is half the difference of D^2 between its opposite edges.
+*Backward check.* The same equation from the found position back to the template has the slopes of the frame, grad M = a
+grad T + grad D, with the residual D = M - a T - b. Linearised, and since a root satisfies sum D grad T = 0, the two
+directions differ by the sum of D grad D. Over a window this is half the difference of D^2 between opposite edges.
 
-A step has a fixed cost and no branch on data, so that the portable form is what is exported.
+A step has a fixed cost and no data-dependent branch, so this portable form is the one that is exported.
 """
 
 from collections.abc import Callable
@@ -44,12 +44,12 @@ _TINY = 1e-20
 
 
 class Templates(NamedTuple):
-    """Templates of B x N points in windows of n px: what a frame needs to know of the key frame.
+    """Templates of B x N points in windows of n x n px: what tracking needs to know of the key frame.
 
     Attributes:
         start: (B, N, 2) px in the key frame, NaN where there is no point.
-        samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
-        numbers: (B, N, 32), see :class:`~fingerflow.kernels.tracking_limits.Number`.
+        samples: (B, N, 3, n n): values minus their mean, grey levels; then gx and gy, grey levels per px.
+        numbers: (B, N, 32) template statistics, see :class:`~fingerflow.kernels.tracking_limits.Number`.
     """
 
     start: Tensor
@@ -58,12 +58,12 @@ class Templates(NamedTuple):
 
     @property
     def window(self) -> int:
-        """px."""
+        """Return the side n of the window, px."""
         result: int = round(self.samples.shape[-1] ** 0.5)
         return result
 
     def of(self, chosen: Tensor) -> "Templates":
-        """Those of chosen points (B, L), int64."""
+        """Return the templates of the points with indices `chosen` (B, L), int64."""
         return Templates._make(rows_of(one, chosen) for one in self)
 
 
@@ -72,11 +72,11 @@ class Found(NamedTuple):
 
     Attributes:
         points: (B, N, 2) px; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance to first order; NaN where the status says that no window with
-            texture was found: up to NOT_CONVERGED, without TRACKED.
-        covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
+        error: (B, N) px, forward-backward distance to first order; NaN for the statuses NOT_FINITE, LEFT_FRAME,
+            NO_TEXTURE and NOT_CONVERGED.
+        covariance: (B, N, 2, 2) px^2 of `points`; NaN where they are.
         status: (B, N) uint8, a :class:`~fingerflow.kernels.tracking_limits.TrackStatus`.
-        estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
+        estimate: (B, N, 2) px, starting position for a further step; equal to `points` where a point was found.
     """
 
     points: Tensor
@@ -87,7 +87,7 @@ class Found(NamedTuple):
 
     @property
     def variance(self) -> Tensor:
-        """(B, N) px^2 of a component of ``points``, the mean of both."""
+        """Return the variance (B, N), px^2, of a component of `points`: the mean of both components."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
 
@@ -100,19 +100,19 @@ def prepare_templates(
     gain_offset: bool = True,
     noise: Tensor | None = None,
 ) -> Templates:
-    """Templates of points of a key frame.
+    """Compute templates of points of a key frame.
 
     Args:
         image: (B, 1, H, W), 8 to 16 bit or floating.
-        points: (B, N, 2) (x, y) px; one that is not finite has a template that matches nothing.
+        points: (B, N, 2) (x, y) px; the template of a non-finite point matches nothing.
         window: odd side of the square window, px.
-        warp: (B, N, 2, 2) deformation gradient F since the key frame: an offset w there is F w in the frames to come.
-        gain_offset: leave gain and offset of the light free in every window. Off, three grey levels more light move a
-            point by 0.1 px on ridges.
+        warp: (B, N, 2, 2) deformation gradient F since the key frame: an offset w there is F w in later frames.
+        gain_offset: leave gain and offset of the illumination free in every window. If False, three grey levels more
+            light move a point by 0.1 px on ridges.
         noise: (B,) standard deviation of white noise, grey levels; estimated by default.
 
     Raises:
-        ValueError: shapes that do not fit, an even window.
+        ValueError: shapes do not match, or the window is even or too small.
     """
     check_window(image, points, window)
     if warp is not None and warp.shape != (*points.shape, 2):
@@ -136,7 +136,9 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """`prepare_templates` of whole grey levels where spline and noise of a key frame are known: what is exported.
+    """Compute templates from the spline coefficients and the noise of a key frame of integer grey levels.
+
+    This is the exported form of `prepare_templates`.
 
     Args:
         coefficients: (B, 1, H, W) of the key frame (`spline_coefficients`).
@@ -150,7 +152,7 @@ def renew_templates(
 
 
 def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Templates sampled from the spline at given (B, N, 2) + F^-1 w."""
+    """Compute templates from the spline, sampled at given (B, N, 2) + F^-1 w; `inverse` is F^-1."""
     known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
     inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
     place = torch.where(known, given, 0.0)
@@ -170,7 +172,7 @@ def _from_samples(
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Templates of places (B, N, 2), known or not, from (P, n, n) values and (P, 2, n, n) slopes."""
+    """Compute templates at positions (B, N, 2), known or not, from values (P, n, n) and slopes (P, 2, n, n)."""
     own, slope = sampled[0].flatten(1), sampled[1].flatten(2)
     batched, window = place.shape[:2], sampled[0].shape[-1]
     level = own.mean(1, keepdim=True)
@@ -197,20 +199,22 @@ def find_templates(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Found:
-    """Finds templates in a frame, each near its prediction.
+    """Find templates in a frame, each near its prediction.
+
+    The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2). H = sum g g', w are the weights of the pixels
+    in sum g S, and a is the gain. The noise of both images is estimated together from the residual; for equal
+    noise and a gain of 1, half of it is that of the template.
 
     Args:
         templates: from :func:`prepare_templates`.
         current: (B, 1, H, W).
         prediction: (B, N, 2) px.
-        rounds: steps at most, the longest of a pixel in x and in y. More than one depends on data: it does not export.
-        forward_backward_limit: px beyond which a point is flagged.
-        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+        rounds: maximum number of steps, each at most a pixel in x and in y. More than one depends on data and cannot be
+            exported.
+        forward_backward_limit: px; a point whose forward-backward distance exceeds it is flagged.
+        mismatch_limit: largest share of the template's variance, without the noise, that the match may leave
             unexplained.
         noise: (B,) standard deviation of white noise in the frame, grey levels; that of the key frame by default.
-
-    The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2), H = sum g g', w the weights of the pixels in
-    sum g S, a the gain: that of the noise of both images as the residual shows it, half of it from the template.
     """
     dtype = templates.samples.dtype
     variance = None if noise is None else noise.to(dtype).square()
@@ -230,8 +234,10 @@ def find_templates(
 def in_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
 ) -> Found:
-    """What steps find of points (B, N, 2) near their predictions, ``rounds`` at most: those that have not converged
-    step on from where the step before has led. More than one depends on data: it does not export.
+    """Find points (B, N, 2) near their predictions in at most `rounds` steps.
+
+    Points that have not converged take another step from the end of the previous one. More than one step depends on
+    data and cannot be exported.
     """
     found = step(templates, prediction)
     for _ in range(rounds - 1):
@@ -245,24 +251,25 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Numbers (B, L) of points with those that are wanted (B, N) bool first. L is the power of 2 that holds them, so
-    that what is compiled for it knows few sizes.
+    """Return indices (B, L) of points with the `wanted` (B, N) bool first.
+
+    L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
     size = 1 << (int(wanted.sum(1).max()) - 1).bit_length()
     return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
 
 
 def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
-    """Return those (B, L, ...) of (B, N, ...) with the numbers (B, L), int64."""
+    """Return the rows (B, L, ...) of a tensor (B, N, ...) with indices `chosen` (B, L), int64."""
     batch, count = tensor.shape[:2]
     place = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
-    # Whole rows are copied many times as fast as their numbers are gathered.
+    # Copying whole rows is many times as fast as gathering their elements.
     result: Tensor = tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
     return result
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """``found`` of (B, N) points with what was found ``again`` of the chosen (B, L), where that is wanted (B, N)."""
+    """Return `found` (B, N), replaced by the results `again` of the `chosen` (B, L) where `wanted` (B, N)."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -273,7 +280,7 @@ def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Foun
 
 
 def check_window(image: Tensor, points: Tensor, window: int) -> None:
-    """Raises ValueError for an image, points or a window that tracking cannot work with."""
+    """Raise ValueError if tracking cannot work with the image, the points or the window."""
     if image.ndim != 4 or image.shape[1] != 1:
         raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
     if min(image.shape[-2:]) < 4:
@@ -287,7 +294,7 @@ def check_window(image: Tensor, points: Tensor, window: int) -> None:
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
-    """(...) whether the windows of points (..., 2) lie in the image, to `SLACK`."""
+    """Return whether (...) the windows of points (..., 2) lie in the image, to within `SLACK`."""
     height, width = image.shape[-2:]
     half = window // 2
     least = half - limits.SLACK
@@ -296,18 +303,18 @@ def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
 
 
 def inverse_2x2(matrix: Tensor) -> Tensor:
-    """Inverses (..., 2, 2); not finite where singular."""
+    """Return the inverses of matrices (..., 2, 2); not finite where a matrix is singular."""
     a, b, c, d = matrix.flatten(-2).unbind(-1)
     result: Tensor = torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
     return result
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """The spline (P, wide, wide) and its slopes (P, 2, wide, wide) around places (B, N, 2) px."""
+    """Return the spline (P, wide, wide) and its slopes (P, 2, wide, wide) around positions (B, N, 2) px."""
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)
-    # Less their mean, so that what is flat has no slope in any precision.
+    # Minus the mean, so that a constant patch has zero slope in any precision.
     base = patches.mean((1, 2), keepdim=True)
     weights, slopes = taps_and_slopes((known - center).transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
     lines, bent = along_y(weights[:, 1], wide) @ (patches - base), along_y(slopes[:, 1], wide) @ (patches - base)
@@ -317,7 +324,10 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Slopes (P, 2, samples) less their parts along a constant and along the values (P, samples), which sum to 0."""
+    """Return slopes (P, 2, samples) without their components along a constant and along the values (P, samples).
+
+    The values sum to 0.
+    """
     centred = slope - slope.mean(2, keepdim=True)
     share = (centred @ value[..., None]) / (value * value).sum(1).clamp_min(_TINY)[:, None, None]
     return centred - share * value[:, None]
@@ -346,15 +356,15 @@ def _numbers(
     side = round(samples**0.5)
     offset = torch.arange(side, dtype=value.dtype, device=value.device) - side // 2
     right, down = offset.repeat(side), offset.repeat_interleave(side)
-    # By i and m of E_im w_m: what E adds to the window, slope_i w_m. A shift takes up a part, H^-1 sum g_j slope_i w_m,
-    # gain and offset another one; the rest stays in the residual.
+    # Indexed by i and m: a deformation E_im changes the window by slope_i w_m. A shift absorbs H^-1 sum g_j slope_i w_m
+    # of it, gain and offset another part; the rest stays in the residual.
     bent = torch.stack((slope[:, 0] * right, slope[:, 0] * down, slope[:, 1] * right, slope[:, 1] * down), dim=1)
     if gain_offset:
         bent = _without_gain_and_offset(value, bent)
     pushing = gradient @ bent.transpose(1, 2)
     lean = inverse @ pushing
     bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean
-    bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair stands for two
+    bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair counts twice
     constant = (gradient @ value[..., None]).squeeze(2)
     ones = torch.ones_like(level)
     return torch.cat(
@@ -371,8 +381,9 @@ def _numbers(
 
 
 def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
-    """xx, xy, yy (P, 3) of the covariance of a position, px^2, that white noise of variance 1 in the pixels leaves:
-    H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples).
+    """Return xx, xy, yy (P, 3) of the covariance of a position, px^2, for white pixel noise of variance 1.
+
+    It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples).
     """
     side = round(gradient.shape[2] ** 0.5)
     weights = onto_pixels(gradient.unflatten(2, (side, side)), side).flatten(2)
@@ -390,14 +401,14 @@ def _step(
     mismatch_limit: float,
 ) -> Found:
     window, dtype = templates.window, templates.samples.dtype
-    # Components before points from here on, (B, K, N): runtimes are slow where the last axis is short.
+    # From here on components before points, (B, K, N): ONNX runtimes are slow if the last axis is short.
     start, guess = components_first(templates.start), components_first(prediction)
     given = finite(start - guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
     numbers = templates.numbers.transpose(1, 2)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
     inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
-    # By value: a compiler goes on for ever in search of the index that a member of an enumeration is.
+    # `.value`: the compiler does not terminate if an index is a member of an enumeration.
     free, energy, level = of[Number.GAIN.value], of[Number.ENERGY.value], of[Number.LEVEL.value]
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
@@ -410,14 +421,14 @@ def _step(
     gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
     offset = torch.where(free > 0, m1 / samples, 0.0)
     squares, edges = _residual(matched, templates.samples, gain, offset, window).split((1, 2), dim=1)
-    # The slopes there are those of the template times the gain: what they differ by counts in a short step for little.
+    # The slopes are taken as those of the template times the gain; in a short step the difference matters little.
     missing = by_slopes - numbers[:, Number.CONSTANT_X : Number.CONSTANT_Y + 1]
     steep = torch.where(gain > 0, gain.clamp_min(limits.LEAST_GAIN), 1 / limits.MOST_GAIN)
     last = _symmetric(inverse, missing / steep)
-    converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: no root
+    converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: not converged
     found = guess - last
 
-    # What is left of the match at the end of the last step, and how much of it contrast alone does not explain.
+    # Squared residual at the end of the step, and the part of it that contrast alone does not explain.
     left = squares - (gain * sum_rows(last * missing))
     bb = squares + torch.where(free > 0, explaining, 2 * tm - energy - m1 * m1 / samples)
     unlike = left + (bb - explaining - squares)
@@ -430,7 +441,7 @@ def _step(
     common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
     explained = (bb - unlike) * energy * (tm > 0)
     ends, begins = (contains(one.transpose(1, 2), current, window)[:, None] for one in (found, guess))
-    # A step that leads out of the frame, or into it, is no end.
+    # A search does not end with a step out of the frame or into it.
     within = (of[Number.INSIDE.value] > 0) & (ends | (begins & ~converged))
     textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
     status = torch.zeros_like(given, dtype=torch.uint8)
@@ -446,7 +457,7 @@ def _step(
     ):
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
-    lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
+    lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added: faster in ONNX runtimes than torch.where
     spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
@@ -460,30 +471,31 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """(B, 3, N) of the residual D = M - a T - b of windows M (P, samples): the sum of D^2, and those of D grad D in x
-    and y, half the differences of D^2 between opposite edges.
+    """Return sums (B, 3, N) over windows M (P, samples) with the residual D = M - a T - b.
+
+    These are the sum of D^2, and of D grad D in x and in y: half the differences of D^2 between opposite edges.
     """
     own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
     place = torch.arange(size, device=samples.device)
     edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
-    # What is summed over lies one number behind the other in both factors, which torch takes a third of the time for.
+    # The summed axis is contiguous in both factors: a third of the time in torch.
     weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)))
     return components_first((left * left @ weights.mT).unflatten(0, samples.shape[:2]))
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, ...) of m."""
+    """Return the sums (B, 3, N) of samples (B, N, 3, m) times windows (B N, ...) of m samples."""
     batch, count = samples.shape[:2]
     rows = windows.reshape(-1, 1, samples.shape[3])
     return components_first((rows @ samples.flatten(0, 1).mT).reshape(batch, count, 3))
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
-    """Products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
+    """Return products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
     return matrix[:, ::2] * vectors + matrix[:, 1:2] * vectors.flip(1)
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """(B, 1, N) of (B, 2, N)."""
+    """Return the lengths (B, 1, N) of vectors (B, 2, N)."""
     return sum_rows(vectors * vectors).sqrt()

@@ -1,4 +1,4 @@
-"""Tracking of points between two images by Lucas-Kanade: templates prepared in one, found in the other."""
+"""Tracking of points between two images by Lucas-Kanade: templates are prepared in one and found in the other."""
 
 from collections.abc import Callable
 from functools import partial
@@ -27,7 +27,8 @@ from fingerflow.ops.tracking.templates import (
     rows_of,
 )
 
-# Windows over which a second pass learns the deformation: fewer follow shorter waves, more see less noise.
+# Gauge length of the deformation in the second pass, in windows: a shorter one resolves shorter waves, a longer one
+# averages more noise.
 _GAUGE = 5.0
 
 
@@ -36,10 +37,10 @@ class Tracks(NamedTuple):
 
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance; NaN of NOT_FINITE, LEFT_FRAME, NO_TEXTURE and NOT_CONVERGED, where
-            there is none.
-        covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor;
-            NaN as ``points``.
+        error: (B, N) px, forward-backward distance to first order; NaN for the statuses NOT_FINITE, LEFT_FRAME,
+            NO_TEXTURE and NOT_CONVERGED.
+        covariance: (B, N, 2, 2) px^2 of `points`, from the noise in the residual and the template's structure tensor;
+            NaN where they are.
         status: (B, N) uint8, a :class:`TrackStatus`.
     """
 
@@ -64,35 +65,36 @@ def track_points(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Tracks:
-    """Finds the points of ``previous`` in ``current``, and from there back again.
+    """Find the points of `previous` in `current`, with a forward-backward check.
 
-    `prepare_templates` and `find_templates`, one after the other. A second pass corrects points for the gradient of the
-    motion that the first has found (`ops.tracking.deformation`); templates whose edge it shifts by more than 0.1 px are
-    deformed and found again, as are points that were lost, where their neighbours expect them.
+    A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
+    gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
+    are deformed and found again. Lost points are also searched again, at the position that their neighbours predict.
 
-    Gradients flow to the images and to ``points`` through ``points`` of the
-    result (implicit differentiation, first order); error, covariance and status carry none.
+    Gradients flow from `points` of the result to the images and to the argument `points` (implicit differentiation,
+    first order); error, covariance and status have none.
 
     Args:
         previous: (B, 1, H, W), 8 to 16 bit or floating.
         current: the same shape.
-        points: (B, N, 2) (x, y) px in ``previous``; NaN stays NaN.
+        points: (B, N, 2) (x, y) px in `previous`; NaN stays NaN.
         window: odd side of the square window, px.
-        initial: (B, N, 2) predicted positions in ``current``; default ``points``.
-        warp: (B, N, 2, 2) deformation gradient F: an offset w in ``previous`` is F w in ``current``. Given, it stays.
-        passes: 2, or 1 for windows that are not deformed: three quarters of the time where nothing deforms.
-        gain_offset: leave gain and offset of the light free in each window.
-        search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in
-            x and y, and only they; 0 never searches. The prediction alone reaches about a third of the texture's
+        initial: (B, N, 2) predicted positions in `current`; default `points`.
+        warp: (B, N, 2, 2) deformation gradient F: an offset w in `previous` is F w in `current`. If given, it is
+            kept and there is no second pass.
+        passes: 2, or 1 for windows that are not deformed, which takes three quarters of the time where nothing deforms.
+        gain_offset: leave gain and offset of the illumination free in each window.
+        search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in x
+            and y; 0 disables the search. Without it the prediction must be within about a third of the texture's
             period.
-        forward_backward_limit: px, points beyond it are flagged.
-        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+        forward_backward_limit: px; a point whose forward-backward distance exceeds it is flagged.
+        mismatch_limit: largest share of the template's variance, without the noise, that the match may leave
             unexplained.
-        noise: (B,) standard deviation of white noise, grey levels, of the noisier of each two images. Default
-            :func:`~fingerflow.ops.filters.noise.estimate_noise` of both.
+        noise: (B,) standard deviation of white noise, grey levels, of the noisier image of each pair. Default: the
+            larger :func:`~fingerflow.ops.filters.noise.estimate_noise` of both.
 
     Raises:
-        ValueError: shapes that do not fit, an even window.
+        ValueError: shapes do not match, the window is even or too small, or `passes` is not 1 or 2.
     """
     _check(previous, current, points, window, initial, warp, passes, noise)
     images = _real(previous), _real(current)
@@ -110,7 +112,10 @@ def track_points(
 
 
 class Passed(NamedTuple):
-    """As `Found`, without what the next frame needs; and the deformation (B, N, 2, 2) of the templates."""
+    """Points found in all passes: `Found` without `estimate`, and with the deformation of the templates.
+
+    `warp` is (B, N, 2, 2), or None where templates are not deformed.
+    """
 
     points: Tensor
     error: Tensor
@@ -155,8 +160,9 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> Passed:
-    """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
-    them. Without derivatives.
+    """Find the points of `track_points`, with its arguments, without derivatives.
+
+    One operator for the compiler, since the number of passes and searches depends on data.
     """
     kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
     start, guess = points.to(kind), guess.to(kind)
@@ -180,7 +186,7 @@ def in_passes(
                 *(start, found.points, found.covariance, numbers, straight), window, _GAUGE * window
             )
             found = found._replace(points=corrected.points, covariance=corrected.covariance)
-            warp = corrected.warp.contiguous()  # as `_like_passed` says
+            warp = corrected.warp.contiguous()  # as `_like_passed` declares
             lost = found.status >= TrackStatus.NOT_CONVERGED
             renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
             if renewed.any():
@@ -203,7 +209,7 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """What `current` shows of points (B, N, 2) of `previous` near places, and `Templates.numbers`."""
+    """Find points (B, N, 2) of `previous` in `current` near the positions `near`; also return `Templates.numbers`."""
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
@@ -235,13 +241,13 @@ def _search_lost(
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
-    """The same points, those that were not found searched for within ``radius`` px of ``guess`` (B, N, 2).
+    """Return `found` after an exhaustive search for the lost points within `radius` px of `guess` (B, N, 2).
 
-    Searched for backward too, without knowing the way there: one that leads elsewhere by more than the limit, and the
-    pixel that a search is good to, keeps the status FORWARD_BACKWARD.
+    A search back from the match is independent of the displacement found. If it misses the start by more than the limit
+    plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.
 
     Args:
-        find: `_find` of points, their deformation and predictions.
+        find: `_find` as a function of points, their deformation and predictions.
     """
     lost = found.status >= TrackStatus.NOT_CONVERGED
     if not lost.any():
@@ -293,14 +299,14 @@ def _check(
 
 
 def _real(image: Tensor) -> Tensor:
-    """The image itself, or as float32 where its number type is a rare one."""
+    """Return the image, as float32 unless it is float64 or of a dtype that the kernels support."""
     return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
 
 
 def _with_derivative(
     images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
 ) -> Tensor:
-    """The same points, with their derivative: a Newton step from the root, which moves nothing.
+    """Return `found` with its derivative: a Newton step from the root, which leaves the values unchanged.
 
     At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0, hence dy = -(db/dy)^-1 db; the Jacobian itself needs no
     derivative.

@@ -1,7 +1,7 @@
-"""Grey levels in the deformed windows around points, by which the windows of two pictures are compared.
+"""Grey levels in the deformed windows around points, by which the windows of two images are compared.
 
-Samples are Keys' cubic convolution of the recorded pixels (1981), not a spline's: the comparison (`tracker.windows`)
-shares no arithmetic with the search that found the points.
+Samples are Keys' cubic convolution (1981) of the recorded pixels, not a spline. The comparison (`tracker.windows`) thus
+shares no arithmetic with the registration that found the points.
 """
 
 import math
@@ -13,21 +13,21 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact.cells import sum_of
 from fingerflow.ops.filters.windows import taken
 
-_SHARPNESS = -0.75  # slope of the weights 1 px away, as bicubic interpolation of torch and OpenCV has it
+_SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation of torch and OpenCV
 
 
 def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
-    """Grey levels in deformed windows.
+    """Return the grey levels in deformed windows.
 
     Args:
         images: (n, 1, H, W).
-        number: (N,) int64, in which of them each window lies.
-        places: (N, 2) px, middles.
-        warp: (N, 2, 2), by which the steps of the grid of a window are deformed.
-        window, step: px, side of a window and steps of its grid.
+        number: (N,) int64, index of the image of each window.
+        places: (N, 2) px, centres of the windows.
+        warp: (N, 2, 2), deformation applied to the grid of each window.
+        window, step: px, side of a window and spacing of its grid.
 
     Returns:
-        (N, m) of the dtype of the places; NaN where a window does not lie in the image, a pixel around it left out.
+        (N, m) of the dtype of `places`; NaN where a window does not lie at least 1 px inside the border of the image.
     """
     known = kernels.serve(images, number, places, warp) and images.dtype in kernels.FRAME_KINDS
     if known and places.dtype == torch.float32 and min(images.shape[-2:]) >= 4:
@@ -36,13 +36,13 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     steps = _steps(window, step, places)
     if min(height, width) < 4:
         return places.new_full((len(places), len(steps)), torch.nan)
-    # From the pixel nearest to the middle: in the frame places have two digits less.
+    # Relative to the pixel nearest to the centre: frame coordinates would lose two digits.
     center = places.round()
     (near_x, near_y), (pixel_x, pixel_y) = (one[..., None].unbind(1) for one in (places - center, center))
     right, down = steps.unbind(1)
     x = near_x + warp[:, 0, 0, None] * right + warp[:, 0, 1, None] * down
     y = near_y + warp[:, 1, 0, None] * right + warp[:, 1, 1, None] * down
-    # A deformed square lies in the image where its corners do; false where a place is NaN.
+    # A deformed square lies in the image if its corners do; False where a position is NaN.
     side = math.isqrt(len(steps))
     corners = torch.tensor([0, side - 1, side * (side - 1), side * side - 1], device=places.device)
     whole = torch.ones_like(pixel_x, dtype=torch.bool)
@@ -51,11 +51,11 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
         whole = whole & ((edge >= 1) & (edge <= size - 2)).all(1, keepdim=True)
     first_x, weights_x = _taps(x, pixel_x, whole, width)
     first_y, weights_y = _taps(y, pixel_y, whole, height)
-    # torch takes no uint16 by number.
+    # torch does not index uint16.
     flat = (images.to(places.dtype) if images.dtype == torch.uint16 else images).reshape(-1)
     index = (number[:, None] * height + first_y) * width + first_x
     if torch.compiler.is_exporting():
-        # All sixteen pixels of a sample at once: by themselves they are a hundred small operations.
+        # All sixteen pixels of a sample at once: separately they are a hundred small operations.
         beside = torch.arange(4, dtype=torch.int32, device=index.device)
         pixels = taken(flat, index.to(torch.int32) + (beside[:, None] * width + beside)[..., None, None])
         found = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
@@ -68,30 +68,31 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """The first of four pixels (N, m) along an axis that samples are made of, at places from a pixel (N, 1), and their
-    weights; any where a window is not whole (N, 1).
+    """Return the first of the four pixels (N, m) along an axis from which samples are interpolated, and their weights.
+
+    `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """
     at = torch.where(whole, at, 0.0)
     first = at.floor()
     pixel = torch.where(whole, pixel, 1.0)
-    first = torch.minimum(first, size - 3 - pixel)  # at the last place the fraction is 1 in place of 0
+    first = torch.minimum(first, size - 3 - pixel)  # at the last position the fraction is 1 instead of 0
     t = at - first
     weights = [_far(1 + t), _near(t), _near(1 - t), _far(2 - t)]
     return (first + (pixel - 1)).to(torch.int64), weights
 
 
 def _near(distance: Tensor) -> Tensor:
-    """Weight of a pixel up to 1 px away (Keys 1981, eq. 15 with a free parameter)."""
+    """Return the weight of a pixel at most 1 px away (Keys 1981, eq. 15 with a free parameter)."""
     return ((_SHARPNESS + 2) * distance - (_SHARPNESS + 3)) * distance * distance + 1
 
 
 def _far(distance: Tensor) -> Tensor:
-    """Weight of a pixel 1 to 2 px away."""
+    """Return the weight of a pixel 1 to 2 px away."""
     return _SHARPNESS * (((distance - 5) * distance + 8) * distance - 4)
 
 
 def _steps(window: int, step: int, like: Tensor) -> Tensor:
-    """(m, 2) px of a window's grid from its middle, of the dtype and device of `like`."""
+    """Return the grid (m, 2) px of a window relative to its centre, of the dtype and device of `like`."""
     reach = window // 2
     offsets = torch.arange(-reach, reach + 1, step, dtype=like.dtype, device=like.device)
     y, x = torch.meshgrid(offsets, offsets, indexing="ij")

@@ -1,4 +1,4 @@
-"""The stages: every file of these folders that defines a `Stage` is one, found here by its class."""
+"""Stages of the pipeline: `all_stages` finds every `Stage` defined in a file of these folders."""
 
 from functools import cache
 from importlib import import_module
@@ -9,9 +9,9 @@ from fingerflow.pipeline.stages.stage import Stage
 
 @cache
 def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
-    """The stages in an order in which each comes behind those that it needs.
+    """Return the stages, each after the stages that it depends on.
 
-    `instead` names those that stand in for others.
+    `instead` names the alternative implementations that replace their base stages.
     """
     for module in walk_packages(__path__, f"{__name__}."):
         import_module(module.name)

@@ -1,4 +1,4 @@
-"""What a stage is: what it needs, what it gives, and its three parts, which the pipeline calls."""
+"""Base class of stages: what a stage needs and gives, and the methods that the pipeline calls."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,11 +18,11 @@ _COPIED = 64  # frames at a time
 
 @dataclass
 class Batch:
-    """Consecutive frames on their way through the stages of one pass, in the order in which these want them.
+    """Consecutive frames passed through the stages of one pass, in the order of processing.
 
     Attributes:
-        indices: (n,) their numbers, from 0 for the first frame that counts; up or down by one.
-        frames: (n, H, W) the pictures, where a stage of the pass reads them.
+        indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
+        frames: (n, H, W) pictures; None where no stage of the pass reads them.
     """
 
     indices: NDArray[np.intp]
@@ -30,26 +30,26 @@ class Batch:
     _steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def keep(self, stage: "Stage", result: Any) -> None:
-        """What a stage's step has given, for the stages beside it."""
+        """Store the result of a stage's step, for the stages beside it."""
         self._steps[type(stage).place()] = result
 
     def of(self, stage: type["Stage"]) -> Any:
-        """What the step of a stage beside has given for these frames."""
+        """Return the result of the step of a stage beside, for these frames."""
         return self._steps[stage]
 
 
 @dataclass
 class Trial:
-    """A scene on its way: what it is computed from, what was asked for, and what is there so far."""
+    """Run context: inputs, results so far, plan and stages of one recording."""
 
     inputs: Inputs
     results: Store
     planned: tuple[type["Stage"], ...]
-    asked: frozenset[str]  # variables, by name or because a stage reads them
-    stages: Mapping[type["Stage"], "Stage"]  # those that run or have run, by their `Stage.place`
+    asked: frozenset[str]  # variables requested by name, or read by a stage
+    stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
-        """The stage of this class, which runs beside or before."""
+        """Return the instance of this class, which runs beside or ran before."""
         found = self.stages[kind]
         assert isinstance(found, kind)
         return found
@@ -59,27 +59,28 @@ class Trial:
 
 
 class Stage:
-    """One step of the computation. A file of this folder holds it; that is all it takes.
+    """One step of the computation; a file in these folders that defines a subclass registers it.
 
-    The pipeline goes over the frames once for all stages that need nothing but each other's steps, and once more for
-    those that come after them. It calls `begin` of each, in the order of their needs, `step` with batch after batch,
-    and `finish`. A stage writes results of frames to `Trial.results` as they come: what it holds for all frames is a
+    The pipeline goes over the frames once for all stages that depend only on each other's steps, and again for the
+    stages after them. It calls `begin` of each stage in the order of dependencies, `step` batch by batch, `finish`, and
+    `derive`. A stage writes results of frames to `Trial.results` as they are computed; for all frames it holds only a
     few numbers a frame.
 
     Attributes:
-        name: in the plan and in the seconds that a result states.
-        gives: the results.
-        reads: results of others, of those that are computed only where they are asked for.
-        needs: keys of the scene without which it cannot run (`Scene.has`).
-        beside: stages whose step of the same frames comes before its own.
+        name: in the plan, and in the seconds that a result states.
+        gives: variables that it computes.
+        reads: optional variables of other stages that it reads; the plan then computes them.
+        needs: keys that the scene must have (`Scene.has`).
+        beside: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
-        reads_frames: whether `step` wants pictures.
-        follows_border: whether it wants points on both sides of the border of the contact, from the first frame on.
-        instead: of its class, for scenes of a kind that says so (`Kind.instead`): what it gives, another way.
-        settings: keys of the scene on which its results depend beside what other stages give, "fields.strain"; a
-            table stands for all of its keys, "recording.times" for the times of the frames, wherever they come from.
-        restored: whether `restore` brings back all that later stages want of it, from an earlier result.
-        warnings: of the instance, what a user should read.
+        reads_frames: True if `step` reads pictures.
+        follows_border: True if it needs points on both sides of the contact border, from the first frame on.
+        instead: True for an alternative implementation of its base class, used for kinds of scenes that name it
+            (`Kind.instead`).
+        settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
+            table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
+        restored: True if `restore` brings back all that later stages need of it from an earlier result.
+        warnings: messages to the user; of the instance.
     """
 
     name: ClassVar[str]
@@ -102,33 +103,33 @@ class Stage:
 
     @classmethod
     def place(cls) -> type["Stage"]:
-        """The class by which other stages know it: its own, or the one that it stands in for."""
+        """Return the interface class by which other stages refer to it: its own, or the one that it replaces."""
         return next(kind for kind in cls.__mro__ if issubclass(kind, Stage) and not kind.instead)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """What of the plan its results depend on, beside the settings: a value of JSON."""
+        """Return what its results depend on in the plan, besides the settings: a JSON value."""
         return None
 
     @property
     def backward(self) -> bool:
-        """Whether frames come from the last to the first one."""
+        """True if frames are processed from the last to the first one."""
         return False
 
     def begin(self) -> None:
-        """Opens what it needs. Raises FingerflowError for what the user can put right."""
+        """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Results of these frames; what it returns, stages beside it get by `Batch.of`.
+        """Compute results of these frames; stages beside it get the returned value by `Batch.of`.
 
         It may be a generator of engine calls that several recordings share (`engines.together`).
         """
 
     def finish(self) -> None:
-        """Results that need all frames, and warnings."""
+        """Compute results that need all frames, and warnings."""
 
     def restore(self, earlier: xr.Dataset) -> None:
-        """In place of begin, step, finish and derive: its results as an earlier result has them."""
+        """Copy its results from an earlier result, instead of begin, step, finish and derive."""
         for variable in self.gives:
             if variable.name in earlier and (variable.unasked or variable.name in self.trial.asked):
                 values = earlier[variable.name]
@@ -139,7 +140,7 @@ class Stage:
                     stored[first : first + _COPIED] = values[first : first + _COPIED].values
 
     def derive(self) -> None:
-        """Results that are formulas of others, after `finish`."""
+        """Compute results that are formulas of other variables, after `finish`."""
         for variable in self.gives:
             wanted = variable.unasked or variable.name in self.trial.asked
             if variable.formula is not None and wanted and all(name in self.results for name in variable.of):

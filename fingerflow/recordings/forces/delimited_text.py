@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.forces.preamble import separator_of, without_preamble
+from fingerflow.recordings.forces.preamble import is_read, separator_of, without_preamble
 from fingerflow.recordings.forces.table import ForceTable, split_unit
-
-COMMENTS = ("#", "%", "//")
 
 
 def read_table(path: Path) -> ForceTable:
@@ -30,7 +28,7 @@ def read_table(path: Path) -> ForceTable:
         text = data.decode("latin-1")
     table = ForceTable(path, {})
     text, table.sample_rate, table.start = without_preamble(path, text)
-    lines = (line for line in re.finditer(r"[^\r\n]+", text) if _is_read(line.group()))
+    lines = (line for line in re.finditer(r"[^\r\n]+", text) if is_read(line.group()))
     first = next(lines, None)
     if first is None:
         raise FingerflowError(f"{path}: has no line besides comments")
@@ -60,7 +58,7 @@ def read_table(path: Path) -> ForceTable:
     except ValueError:
         # There may be comments among the samples; filtering lines takes as long as reading, so it is done only then.
         try:
-            numbers = _numbers("\n".join(filter(_is_read, body.splitlines())), separator, len(names))
+            numbers = _numbers("\n".join(filter(is_read, body.splitlines())), separator, len(names))
         except ValueError as error:
             cells = sample.group().rstrip(", ;\t").count(separator or " ") + 1
             if separator == "," and cells > len(names):
@@ -75,11 +73,6 @@ def read_table(path: Path) -> ForceTable:
     for name, column in zip(names, numbers.T, strict=True):
         table.columns[name] = np.ascontiguousarray(column)
     return table
-
-
-def _is_read(line: str) -> bool:
-    begun = line.lstrip()
-    return bool(begun) and not begun.startswith(COMMENTS)
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:

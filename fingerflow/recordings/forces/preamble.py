@@ -41,7 +41,7 @@ def without_preamble(path: Path, text: str) -> Content:
     numbers: list[int] = []
     first = 0
     for line in lines:
-        if not _is_read(line.group()):
+        if not is_read(line.group()):
             continue
         read.append(line)
         cells.append(_cells(line.group()))
@@ -88,8 +88,10 @@ def _of_labview(path: Path, text: str) -> Content:
     return Content(re.sub(r"^X_Value", "time", body, count=1))
 
 
-def _is_read(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith(("#", "%", "//"))
+def is_read(line: str) -> bool:
+    """Return whether a line is neither blank nor a comment."""
+    begun = line.lstrip()
+    return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
 def _cells(line: str) -> list[str]:

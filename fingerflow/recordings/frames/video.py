@@ -24,11 +24,11 @@ from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.walker import check_by_walking
+from fingerflow.schema.claimed_sizes import MOST_PIXELS
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
-MOST_PIXELS = 1 << 28  # in a frame
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 

@@ -8,11 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.schema.claimed_sizes import MOST_COMPRESSED
 
-MOST_COMPRESSED = 1032
-"""Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes); codecs of pictures
-stay below it.
-"""
 _ALWAYS = 1 << 20  # bytes that any file may unpack to, however small
 _KINDS = (
     (stat.S_ISDIR, "a folder"),

@@ -17,7 +17,7 @@ from typing import Any
 CPU_SECONDS = 10.0  # CPU time for one file; a thousand objects take 0.1 s
 MEMORY_BYTES = 1 << 27  # in addition to the libraries and to the unpacked content of the file
 VIDEO_BYTES = 3 << 28  # replaces MEMORY_BYTES for videos: decoders keep frames
-MOST_COMPRESSED = 1032  # as in `files`, which this script does not import
+MOST_COMPRESSED = 1032  # as in `schema.claimed_sizes`, which this script does not import
 MOST_OBJECTS = 100_000
 MOST_ATTRIBUTE_BYTES = 1 << 26
 

@@ -1,4 +1,4 @@
-"""A result as rows and named columns."""
+"""Conversion of a result to a table with rows and named columns."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 
-_PARTS = ("xy", "axis", "strain_component", "shear_component", "principal")  # dimensions that are columns each
+_PARTS = ("xy", "axis", "strain_component", "shear_component", "principal")  # dimensions with one column a component
 
 
 class Table(NamedTuple):
-    """`names` (C,) of the columns with their units, `rows` (R, C)."""
+    """Table with the `names` (C,) of its columns including units, and `rows` (R, C)."""
 
     names: tuple[str, ...]
     rows: NDArray[np.float64]
 
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """One row a frame: frame, time, and what there is of it."""
+    """Return one row per frame: frame, time, and the variables of frames."""
     columns = {"frame": result["frame"].values, **_of(result["time"])}
     for values in _chosen(result, variables, ("frame",)):
         columns |= _of(values)
@@ -28,8 +28,9 @@ def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """One row a point in a frame, frame by frame: frame, time, point, and what there is of it. A variable of points
-    alone, such as its onset, stands in each of its rows.
+    """Return one row per point and frame, ordered by frame: frame, time, point, and the variables of points.
+
+    A variable of points alone, such as the onset, is repeated in every frame.
     """
     frames, points = _sizes(result)
     columns: dict[str, NDArray[np.generic]] = {"frame": np.repeat(result["frame"].values, points)}
@@ -42,8 +43,9 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """As `napari.layers.Tracks` wants them: ID, t, y, x in frames and px, sorted by ID and time, where a point is
-    tracked; the columns beyond are properties.
+    """Return tracks as `napari.layers.Tracks` requires them: ID, t, y, x in frames and px, sorted by ID and time.
+
+    Rows exist where a point is tracked. The named `variables` are further columns, napari's properties.
     """
     if "position_px" not in result:
         raise FingerflowError("the result has no position_px, of which tracks are; compute it, or the rows of frames")
@@ -69,7 +71,7 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
 
 
 def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Variables with these dimensions, and with parts; all that there are, or those named."""
+    """Yield the variables with one of these dimensions, optionally with components: all of them, or those named."""
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -89,7 +91,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """A variable's columns by their names with units, a part each."""
+    """Return the columns of a variable by names with units, one for each component."""
     units = values.attrs["units"]
     if values.dims[-1] not in _PARTS:
         return {f"{values.name} ({units})": values.values}

@@ -1,4 +1,4 @@
-"""Which table or map goes into which kind of file."""
+"""Export of tables and maps to files, by their suffix."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,19 +26,19 @@ def export_table(
     variables: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Writes a table as .csv, or everything as .mat.
+    """Write a table as .csv, or the whole result as .mat.
 
     Args:
         result: of `process`, or of a stream.
         path: ending in .csv or .mat.
-        rows: what is a row of a .csv: "frame"; "point", one a point in each frame; "track", the same as napari's tracks
-            are, (ID, t, y, x) with frames and px, where the point is tracked.
-        variables: that are columns; None for all that have a value for each row.
-        overwrite: replace any file, not a table or map alone.
+        rows: kind of rows of a .csv: "frame"; "point", one per point and frame; "track", the tracks of napari
+            (ID, t, y, x) in frames and px, where the point is tracked.
+        variables: columns of the table; None for all variables that have a value for each row, or none of "track".
+        overwrite: replace any file, not only a table or map.
 
     Raises:
         FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
-            without ``overwrite`` where a file is there that is no table or map.
+            without ``overwrite`` where the path is an existing file that is no table or map.
     """
     keep_others(path, is_table, overwrite)
     if rows not in ROWS:
@@ -55,19 +55,19 @@ def export_table(
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
-    """Writes a variable of points or triangles on a regular grid of the glass, in every frame.
+    """Write a variable of points or triangles on a regular grid of the glass, for every frame.
 
     Args:
         result: of `process`.
-        path: .tif, a stack of float32 for ImageJ with mm and s in its tags, channels where the variable has
-            components, NaN where nothing is known; or .csv, one row a known place with frame, time, x and y.
+        path: .tif, a float32 stack for ImageJ with mm and s in its tags, channels where the variable has components,
+            NaN where it is not known; or .csv, one row per known grid position with frame, time, x and y.
         variable: with a value for each point, or each triangle, in each frame.
-        step_mm: between the places of the grid.
-        overwrite: replace any file, not a table or map alone.
+        step_mm: spacing of the grid.
+        overwrite: replace any file, not only a table or map.
 
     Raises:
-        FingerflowError: for another suffix or step, a variable that cannot be mapped, or without ``overwrite`` where a
-            file is there that is no table or map.
+        FingerflowError: for another suffix or step, a variable that cannot be mapped, or without ``overwrite`` where
+            the path is an existing file that is no table or map.
     """
     keep_others(path, is_table, overwrite)
     if path.suffix in (".tif", ".tiff"):
@@ -81,7 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file is a table or map of this module: by how it begins, its variables, or what its tags say."""
+    """Return whether a file is a table or map of this module, by its first bytes, its variables, or its tags."""
     try:
         if path.suffix == ".mat":
             return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}
@@ -90,7 +90,7 @@ def is_table(path: Path) -> bool:
                 return _ORIGIN in str((file.imagej_metadata or {}).get("Info", ""))
         with path.open("rb") as table:
             return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
-    except Exception:  # whatever the libraries raise at a file that is none
+    except Exception:  # another kind of file may raise any exception
         return False
 
 

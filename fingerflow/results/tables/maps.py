@@ -1,4 +1,4 @@
-"""A variable of points or triangles on a regular grid of the glass."""
+"""Maps of a variable of points or triangles on a regular grid of the glass."""
 
 import json
 from typing import NamedTuple
@@ -12,17 +12,18 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from fingerflow.errors import FingerflowError
 from fingerflow.results.tables.columns import Table
 
-ORIGIN = "the first pixel is at"  # by which a file of maps is known
-_MOST_CELLS = 4_000_000  # of a frame: beyond, the step is a mistake
+ORIGIN = "the first pixel is at"  # identifies a file of maps
+_MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
 _PARTS = ("xy", "strain_component", "shear_component", "principal")
 
 
 class Maps(NamedTuple):
-    """Values (F, C, H, W) float32 at the places x[k], y[j] mm of the glass; NaN where not known.
+    """Values (F, C, H, W) float32 at the positions x[k], y[j] mm on the glass; NaN where not known.
 
     Attributes:
-        name: of the variable; `units` its unit; `components` its parts, () for none.
+        name: of the variable; `units` its unit; `components` the names of its components, () for a scalar.
         frames, times: (F,) number and s.
+        step_mm: spacing of the grid.
     """
 
     name: str
@@ -37,14 +38,14 @@ class Maps(NamedTuple):
 
     @property
     def about(self) -> str:
-        """For a file that cannot say where its first pixel lies."""
+        """Return a description with the position of the first pixel, for file formats without such a field."""
         return (
             f"{self.name} in {self.units}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
             f"glass, pixels are {self.step_mm:g} mm apart, the first frame is {self.frames[0]} at {self.times[0]:.6g} s"
         )
 
     def table(self) -> Table:
-        """One row a place where something is known."""
+        """Return one row per grid position and frame at which the variable is known."""
         frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
         places = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
         named = [f"_{one}" for one in self.components] or [""]
@@ -53,13 +54,14 @@ class Maps(NamedTuple):
 
 
 def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
-    """A variable where the skin is in each frame.
+    """Return maps of a variable where the skin is in each frame.
 
-    Of points: linear between the corners of the Delaunay triangles of their positions in the frame (Barber et al.
-    1996), and known within half a gauge length of a point that has a value: beyond, no gradient is fitted either. Of
-    triangles: the value of the one that covers the place, where none is turned over.
+    A variable of points is interpolated linearly in the Delaunay triangles of their positions in the frame (Barber et
+    al. 1996). It is known within half a gauge length of a point that has a value; farther away no gradient is fitted
+    either. A variable of triangles has the value of the triangle that covers the grid position. Where triangles
+    overlap, as beside inverted ones, the last of them counts.
 
-    Raises FingerflowError where the variable is not there or is of something else, or the step gives no grid.
+    Raises FingerflowError where the variable is missing or not of points or triangles, or the step gives no grid.
     """
     if variable not in result or "position" not in result:
         missing = variable if variable not in result else "position"
@@ -112,7 +114,7 @@ def _gauge_mm(result: xr.Dataset) -> float:
 def _of_points(
     points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """(H, W, C)."""
+    """Return the interpolated values (H, W, C) of a variable of points."""
     found = np.full((*places.shape[:2], values.shape[1]), np.nan)
     usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
     if usable.sum() < 3:
@@ -133,7 +135,7 @@ def _of_triangles(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """(H, W, C)."""
+    """Return the values (H, W, C) of the triangles that cover the grid positions."""
     found = np.full((len(y), len(x), values.shape[1]), np.nan)
     for triangle, value in zip(points[corners], values, strict=True):
         if not (np.isfinite(triangle).all() and np.isfinite(value).any()):

@@ -1,4 +1,4 @@
-"""Contact of every frame: real and gross area, ellipse, and the region by which points come into contact."""
+"""Contact of every frame: real and apparent (gross) area, ellipse, and the region that brings points into contact."""
 
 from typing import Any, ClassVar
 
@@ -23,18 +23,18 @@ from fingerflow.pipeline.stages.trial.regions import region_mask
 from fingerflow.schema.variables import CONTACT
 
 _LEAST_LIGHT = 0.1
-_LOOKS = 32  # frames that are looked at to find the one with most contact, where no forces tell
-_STEP = 4  # px between the pixels that are looked at
-_STEADY = 0.01  # change of the lamp that moves no area
+_LOOKS = 32  # frames sampled to find the one with most contact, if forces are unknown
+_STEP = 4  # px between sampled pixels
+_STEADY = 0.01  # change of illumination gain that does not change areas
 
 
 class ContactStage(Stage):
-    """Runs the contact graph over batches of frames; keeps numbers, never pictures.
+    """Contact of batches of frames, computed by the engine; only numbers are kept, never pictures.
 
     Attributes:
-        series: results by name, (frames,) or (frames, 2); NaN ellipses where there is no contact, and NaN altogether
-            in frames that are not usable.
-        reference_frame: the one with most contact.
+        series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
+            NaN in unusable frames.
+        reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
     """
 
@@ -63,14 +63,14 @@ class ContactStage(Stage):
             for variable in CONTACT
             if variable.name != "gross_contact_region" and variable.formula is None
         }
-        self._gain = np.full(frames, np.nan)  # of the lamp
-        self._blind = np.zeros(frames, dtype=bool)  # frames with contact and without glass
+        self._gain = np.full(frames, np.nan)  # illumination gain
+        self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
         self._usable = self.trial.stage(FrameCheckStage).usable
         glass, dark = self.inputs.reference(self._view)[0, 0].cpu().numpy(), self.inputs.dark(self._view)
         black = None if dark is None else dark[0, 0].cpu().numpy()
-        # Where no light is, nothing touches.
+        # Outside the scene's region the light is set to 0: no contact is detected there.
         self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
@@ -79,7 +79,7 @@ class ContactStage(Stage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def step(self, batch: Batch) -> Any:
-        """`FrameContact` of these frames."""
+        """Return the `FrameContact` of these frames."""
         assert batch.frames is not None
         contact, threshold = yield from self._contact(batch.frames)
         size, indices = self.inputs.mm_per_px, batch.indices
@@ -100,7 +100,7 @@ class ContactStage(Stage):
         return contact
 
     def finish(self) -> None:
-        """Warns where the lamp may have changed and nothing tells by how much."""
+        """Write the results; warn if the illumination may have changed by an unknown amount."""
         first_frame = self.inputs.scene.recording.first_frame
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
@@ -125,24 +125,28 @@ class ContactStage(Stage):
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
 
     def cells(self) -> dict[str, float]:
-        """What tells where the cells of a region lie."""
+        """Return the attributes that locate the cells of a region: their side and the centre of the first one, mm."""
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest(self) -> Tensor:
-        """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
+        """Return the gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
         return self._region_of(self.reference_frame)
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """(1, 1, h, w) bool, the gross region of the reference frame, and that of the first frame where this one covers
-        more than a window besides: a contact that has left it, whose skin has no onset to wait for.
+        """Return the gross region (1, 1, h, w) bool of the reference frame, extended by that of the first frame.
+
+        It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
+        has left its first region since, and skin there has no onset to wait for.
         """
         largest, first = self.largest(), self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
-        margin, so that there are points on both sides of the border of the contact.
+        """Return the gross regions (1, 1, h, w) bool of the first usable and the reference frame, with a margin.
+
+        A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
+        sides of the contact border.
         """
         first = int(np.argmax(self._usable))
         return dilate(self._region_of(first) | self.largest(), margin_px)
@@ -175,19 +179,20 @@ class ContactStage(Stage):
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
-        is left, as in a dark frame: a contact leaves half.
+        """Return the mean intensity of a frame relative to the empty glass, corrected for the illumination gain.
+
+        A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
         view = self.inputs.view(frame, self._view)
         some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
         seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
-        unknown = np.full(1, np.nan, np.float32)  # by which nothing touches
+        unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact
         images = self._engine.images(self._view.crop(frame))
         gain = float(self._engine.contact(images, self._light, unknown).light_gain[0])
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
-        """Relative intensity loss that counts as contact; None where every frame has its own."""
+        """Return the relative intensity loss that counts as contact, or None where it is computed for every frame."""
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
             return None

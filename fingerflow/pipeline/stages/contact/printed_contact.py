@@ -1,4 +1,4 @@
-"""The real contact area by the steps that Willemet et al. (2021) print, to compare with what was published."""
+"""Real contact area by the steps that Willemet et al. (2021) print, for comparison with published values."""
 
 import numpy as np
 import torch
@@ -45,12 +45,16 @@ PRINTED_CONTACT = (
 
 
 class PrintedContactStage(Stage):
-    """Their figure S3 A: light over that of the empty glass, taken off that of the first instant of contact, median of
-    9 x 9 px, Otsu's threshold in every frame, pixels counted; and eroded by a unit diamond, as the lab's code has it.
+    """Real contact area by figure S3 A of Willemet et al. (2021).
 
-    `ContactStage` measures the same area better: Otsu's threshold of a whole frame is pulled by how much glass is seen,
-    9 x 9 px round the ends of ridges, and what touches at the first instant is taken for glass. A frame in which that
-    stage finds no contact is NaN here, as Otsu's threshold splits the noise of an empty picture too.
+    The intensity relative to the empty glass is subtracted from that at the first instant of contact. A median filter
+    of 9 x 9 px and Otsu's threshold of every frame follow, and pixels are counted. The eroded area, by a unit diamond,
+    follows the lab's code.
+
+    `ContactStage` measures the same area better. Otsu's threshold of a whole frame depends on how much glass is in
+    view, a median of 9 x 9 px rounds the ends of ridges, and skin in contact at the first instant is taken for glass. A
+    frame in which `ContactStage` finds no contact is NaN here, as Otsu's threshold also splits the noise of an empty
+    picture.
     """
 
     name = "printed_contact"

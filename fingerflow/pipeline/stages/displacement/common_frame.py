@@ -1,4 +1,4 @@
-"""One frame for points that were chosen in several, as coordinates of the skin."""
+"""Common reference frame for points seeded in several frames, as coordinates of the skin."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,20 @@ from scipy.spatial import cKDTree
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.results.store import Values
 
-_NEIGHBOURS = 8  # whose displacement is extended to a point
+_NEIGHBOURS = 8  # nearest points whose displacement is extrapolated to a new point
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
 
 
 class CommonFrame(NamedTuple):
-    """Where points lay in the frame of the first choice.
+    """Positions of points in the frame of the first seeding.
 
     Attributes:
-        places: (N, 2) mm. Of a point that was chosen later it is its place then less the displacement since the first
-            choice of the points around: coordinates of the skin that go on beyond what was seen. Gradients between two
-            later frames, F(t) F(s)^-1, do not depend on them.
-        chosen: (N,) frame in which each point was chosen.
-        later: (N,) bool, whether that was not the first choice.
+        places: (N, 2) mm. For a point seeded later: its position then, less the displacement of the points around it
+            since the first seeding. These are coordinates of the skin extrapolated beyond the region that was seen.
+            Gradients between two later frames, F(t) F(s)^-1, do not depend on them.
+        chosen: (N,) frame in which each point was seeded.
+        later: (N,) bool, True for points seeded after the first seeding.
     """
 
     places: Points
@@ -31,12 +31,13 @@ class CommonFrame(NamedTuple):
 
 
 def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Of points at `position` (frames, N, 2) mm with a `status` (frames, N), which were first chosen in frame `first`
-    and followed from there on, or back.
+    """Return the common frame of points at `position` (frames, N, 2) mm with a `status` (frames, N).
 
-    The displacement of the points around is that of the eight nearest that are known, which weigh 1 / distance^2: of
-    neighbouring points it differs by little, so that the skin does not fold, and it stays bounded far away, where a
-    plane would run off.
+    They were first seeded in frame `first` and tracked from there, forward or `backward`.
+
+    The displacement of the surroundings is the mean over the eight nearest known points, with weights 1 / distance^2.
+    It differs little between neighbouring points, so that the skin does not fold, and it stays bounded far away, unlike
+    an extrapolated plane.
     """
     places = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
     later = status[slice(first, first + 1)][0] == TrackStatus.NOT_CHOSEN_YET
@@ -57,8 +58,9 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
 
 
 def _choices(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
-    """Frames (L,) in which these points were chosen: the first, or of a recording followed backward the last, in which
-    they are tracked.
+    """Return the frames (L,) in which these points were seeded.
+
+    That is the first frame in which they are tracked, or the last one for backward tracking.
     """
     frames = np.full(len(later), -1)
     for begin in range(0, status.shape[0], _FRAMES):

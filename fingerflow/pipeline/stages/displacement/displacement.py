@@ -1,4 +1,4 @@
-"""Displacement of each point from where it was when the contact came to cover it, or in a frame for all."""
+"""Displacement of each point from its onset of contact, or from one frame for all points."""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,8 +20,8 @@ from fingerflow.tracker.border import BORDER_MM, Border
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 
-_ELLIPSE_MM = 0.035  # of the ellipse of the border; measured on presses at 40 to 300 frames/s
-_LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
+_ELLIPSE_MM = 0.035  # standard deviation of the border's ellipse; measured on presses at 40 to 300 frames/s
+_LONGEST_ONSET = 8  # frames to either side over which the speed at onset is measured, at most
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
 
@@ -30,8 +30,8 @@ class Moved(NamedTuple):
     """Displacement of n frames since the reference; NaN before contact and for points that never touch.
 
     Attributes:
-        displacement: (n, N, 2) mm; by onsets, in a touch that does not stay, since that touch.
-        variance: (n, N) mm^2, of a component, by the noise of the pictures.
+        displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
+        variance: (n, N) mm^2, of a component, by image noise.
     """
 
     displacement: Points
@@ -39,30 +39,33 @@ class Moved(NamedTuple):
 
 
 class DisplacementStage(Stage):
-    """Where each point was at the reference, what is uncertain about it, and how far it has moved since.
+    """Reference position of each point, its uncertainty, and the displacement since.
 
-    [fields] reference says what that is: each point's own onset of contact, which is uncertain, or one frame for all.
+    `fields.reference` selects the reference: each point's own onset of contact, which is uncertain, or one frame for
+    all.
 
-    The first frame with contact comes half a frame after the contact, on average, and what the skin has moved by then
-    would be missing: at 40 frames/s places of onset are off by 8.7 um at the border of a press, and by 4.8 where the
-    reference is the place at which the border passed the point (`tracker.onset`). Followed forward and backward in time
-    it is the same: at 40 frames/s both give the median divergence to 1 % and the energy to 6 %, as they choose their
-    points in another picture, and as many points more or fewer change as much.
+    The first frame with contact comes half a frame after the contact, on average, so the displacement up to it would be
+    missing. At 40 frames/s, positions of onset are off by 8.7 um at the border of a press. The error is 4.8 um if the
+    reference is the position at which the border passed the point (`tracker.onset`). Tracking forward and backward in
+    time agree: at 40 frames/s both give the median divergence to 1 % and the energy to 6 %. They seed points in
+    different frames, and as large a change comes from using as many points more or fewer.
 
     Attributes:
-        since: that.
-        entered: (E,) numbers of the points that came into contact by moving into it (`entered_skin`), by onsets.
-        by_onsets: whether points count from their own onsets; `places` and `last` are there where they do.
-        places: (N, 2) mm, where points were chosen; of those that were chosen later, `CommonFrame.places`.
+        since: the reference.
+        entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
+        by_onsets: True if points count from their own onsets.
+        places: (N, 2) mm, `CommonFrame.places`; only set by onsets.
         last: the last usable frame.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
-        onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
-            then: a later one would be taken for it.
-        reference: (N, 2) position then, mm; by onsets, of points that are touched in passing alone, where they were in
-            passing. NaN for points that no contact touches.
+        onset: (N,) first frame of the touch that lasts; -1 for none, and for points that were seeded inside the
+            contact. By onsets it is also -1 for points that were lost then, as a later frame would be taken for the
+            onset.
+        reference: (N, 2) mm, position at the reference. By onsets, a point whose touches all ended has the position of
+            its first touch. NaN for points that are never in contact.
         reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
-        of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 by a frame.
+        of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
+            reference is a frame.
     """
 
     name = "displacement"
@@ -92,7 +95,7 @@ class DisplacementStage(Stage):
         self._scale = self.inputs.topography_mm_per_px
         self._template = self.inputs.scene.tracking.template
         self._vector = np.full((len(trial), 2), np.nan)
-        self._fixed: _Fixed | None = None  # where points are in the frame from which all count
+        self._fixed: _Fixed | None = None  # points in the reference frame, None for onsets
         self._attributes: dict[str, str | int] = {}
 
     def begin(self) -> None:
@@ -101,7 +104,7 @@ class DisplacementStage(Stage):
         self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
         self._attributes = self.since.attributes(first_frame)
         points = self.results["position"].shape[1]
-        # Where points were chosen all of them are known.
+        # All points are known in the frame in which they are seeded, the first one that is tracked.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
         chosen, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
@@ -146,21 +149,21 @@ class DisplacementStage(Stage):
 
     @property
     def chosen_later(self) -> NDArray[np.bool_]:
-        """(N,) which points were chosen where skin came into contact, not in the first choice."""
+        """Return which points (N,) were seeded later, where skin came into contact."""
         return self._common.later
 
     @property
     def mm_per_px(self) -> float:
-        """Of the topographic view."""
+        """Return the scale of the topographic view."""
         return self._scale
 
     def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        """(n, N) mm^2, of a component of the position in these frames against the frame of the templates."""
+        """Return the variance (n, N) mm^2 of a component of the position in these frames, against the templates."""
         variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self._scale)) ** 2
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """(n, N, 2, 2) mm^2, of the displacement; variances are NaN where it is."""
+        """Return the covariance (n, N, 2, 2) mm^2 of the displacement; variances are NaN where the displacement is."""
         result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
         for component in range(2):
             result[..., component, component] += moved.variance
@@ -175,10 +178,10 @@ class DisplacementStage(Stage):
             count += known.sum(0)
             total += np.where(known, variance, 0).sum(0, dtype=np.float64)
         self.noise = total / np.maximum(count, 1)
-        # A touch that lasts to the end may be one that stays.
+        # A touch in the last frame counts as lasting.
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
-        # Of a point that is in contact when it is chosen, later than the first, nobody knows since when.
+        # The onset is unknown for a point that is already in contact when it is seeded later.
         self._inside = self._common.later & (touch.first == self._common.chosen)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
@@ -195,7 +198,7 @@ class DisplacementStage(Stage):
             self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
 
     def _in_reference(self, name: str) -> NDArray[Any]:
-        """(N, ...) a variable in the frame from which all count."""
+        """Return a variable (N, ...) in the reference frame."""
         assert self.since.frame is not None
         values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
         return values
@@ -211,10 +214,10 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """What the frames (n,), which follow those that `touch` has seen, have moved by since the touch of each."""
+        """Return the displacement of frames (n,) since each point's touch; they follow those that `touch` has seen."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
-        some = np.flatnonzero(self._usable[indices])  # another one ends no touch
+        some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
         if len(some) == len(indices):
             touching = touch.go_on(indices, covered, position, variance, self._border.at(indices))
         else:
@@ -242,9 +245,9 @@ class DisplacementStage(Stage):
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself.
 
-        Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
-        of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
-        variances add up.
+        With a key frame as template, half of a position's variance is noise of the template, the same in every frame.
+        It cancels in the difference of two positions, unless one of them is that of the key frame, which is exact. With
+        the previous frame as template, variances add up.
         """
         rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
         if self._template == "previous":
@@ -256,10 +259,10 @@ class DisplacementStage(Stage):
         return result
 
     def _find_errors_of_onset(self) -> None:
-        """Compute the covariance (N, 2, 2) mm^2 of the place of onset: the speed then times the error of the time.
+        """Compute the covariance (N, 2, 2) mm^2 of the position of onset: the speed then times the error of the time.
 
         The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
-        takes d frames to cross. The ellipse gives the moment between these frames. The error is 0 where the ellipse is
+        takes d frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is
         crossed between the selected frames, and otherwise their distance from that crossing; its mean square is
         d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
         larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
@@ -278,7 +281,7 @@ class DisplacementStage(Stage):
         rough = BORDER_MM * frames_per_mm
         variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
-        # Both sides at once: each look at places reads all frames.
+        # Both sides at once: each call of `_place` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
         place = self._place(every)
         unknown = ~np.isfinite(place).all(-1)
@@ -288,7 +291,7 @@ class DisplacementStage(Stage):
         before, after = every
         step = place[1] - place[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
-        # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
+        # The square of a measured speed is too large by the speed's variance, from those of the two positions.
         errors = self._scale * at_frames(self.results["position_std_px"], every % frames)
         noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
@@ -297,12 +300,12 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """(..., N, 2) mm, of each point in its frames (..., N), -1 for the last."""
+        """Return the positions (..., N, 2) mm of each point in its frames (..., N); -1 for the last frame."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Points in the frame from which all of them count; NaN where they are not known there."""
+    """Points in the reference frame; NaN where they are not known there."""
 
     place: Points  # (N, 2) mm
     place_px: Points
@@ -310,12 +313,12 @@ class _Fixed(NamedTuple):
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
-    """All frames, some at a time."""
+    """Return all frames in runs of `_FRAMES`."""
     return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """(..., P, ...) values (frames, N, ...) of each of these points, all by default, in its frames (..., P)."""
+    """Return `values` (frames, N, ...) of each of these points, all by default, in its frames: (..., P, ...)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

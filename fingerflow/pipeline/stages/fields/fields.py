@@ -1,4 +1,4 @@
-"""Divergence, curl, shear and strain by local fits, their medians over the gross contact, and what is not rigid."""
+"""Divergence, curl, shear and strain by local fits, their medians over the gross contact, and rigid residuals."""
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from fingerflow.schema.variables import FIELDS
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.entry import EntryGradients
 
-_MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
+_MEDIANS = (  # medians of `FieldsGraph`: name, columns, True if a rate is computed
     ("divergence", 0, True),
     ("curl", 1, False),
     ("strain", slice(2, 5), True),
@@ -25,13 +25,13 @@ _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has 
 
 
 def _tensors_of(found: FrameFields) -> graphs.Fields:
-    """The same fields as tensors of torch."""
+    """Return the same fields as torch tensors."""
     known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
     return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
 
 class FieldsStage(Stage):
-    """Fits in reference coordinates, frame by frame."""
+    """Fits of displacement gradients in reference coordinates, frame by frame."""
 
     name = "fields"
     gives = FIELDS
@@ -96,7 +96,7 @@ class FieldsStage(Stage):
         )
 
     def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Of these frames."""
+        """Return the gradients of the advected points in these frames, with their covariance."""
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)

@@ -1,6 +1,7 @@
-"""What medians over the contact are uncertain by beside the errors of the points: gauge, border, and what is not known.
+"""Uncertainty of medians over the contact apart from errors of points: gauge length, border, and unknown skin.
 
-None of it falls as there are more points. Tests with truth: a press, a slide and a contact through which skin passes.
+It does not fall with the number of points. Tests with known truth: a press, a slide, and a contact through which skin
+passes.
 """
 
 import numpy as np
@@ -15,40 +16,41 @@ from fingerflow.pipeline.stages.displacement.displacement import DisplacementSta
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.tracker.border import BORDER_MM
 
-EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at so often, and between linear
+EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact change slowly
 
 
 class MedianBias:
-    """Of medians over T frames of divergence, curl and strain (exx, eyy, exy).
+    """Variance of medians over T frames of divergence, curl and strain (exx, eyy, exy) besides errors of points.
 
     It has four parts:
 
-    - the difference to medians by twice the gauge length. Of smoothing alone it is three times the error, as that goes
-      with the square of the length; where the contact has skin of two kinds, so that the median lies in the flank of
-      one of them, single fits move it by their noise, which twice the length has a quarter of.
-    - the difference to medians over an ellipse that is smaller by what the place of its border is uncertain by.
-    - where fields are known in a share of the contact alone, the median of all of it lies between quantiles of what is
-      known, 1/2 +- (1 - share) / (2 share): anywhere, of which the deviation is half of their difference over sqrt(3).
-    - where E of the points moved in, the median lies between ranks that are sqrt(E) points apart from its own. By the
-      fields of such a point, which change by as much as those of the whole contact within half of a gauge length, it is
-      a draw on which side of the median the area lies that it stands for; and neighbours share errors of their entry,
-      so that four of them are about one. The number is from slides with truth.
+    - the difference to medians with twice the gauge length. For smoothing alone it is three times the error, which is
+      proportional to the square of the length. Where the contact has skin of two kinds, the median lies in the flank of
+      one distribution and is shifted by the noise of single fits, of which twice the length has a quarter.
+    - the difference to medians over an ellipse that is smaller by the uncertainty of the border's position.
+    - where fields are known only in a share of the contact, the median of all of it lies between the quantiles
+      1/2 +- (1 - share) / (2 share) of the known values: anywhere, so that the deviation is half of their difference
+      over sqrt(3).
+    - where E of the points were advected, the median lies between ranks that are sqrt(E) points from its own. The
+      fields of such a point change within half a gauge length by as much as those of the whole contact, so its area
+      falls on either side of the median at random. Neighbours share errors of their entry, so that four of them count
+      as about one. The number is from slides with known truth.
 
-    The first two are differences of noisy numbers: what the points' errors make of them, by the deviation of the
-    median, is taken off their squares.
+    The first two are differences of noisy numbers: the variance of the median by errors of points is subtracted from
+    their squares.
     """
 
     def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
         self._gauge, self._measure = gauge_mm, measure
         self._reference = torch.from_numpy(moved.reference)[None]
-        self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
-        self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
-        self._square = np.zeros((frames, 5))  # of what is not known
+        self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # evaluated frames
+        self._seen = np.full((len(self._looks), 5), np.nan)  # variance by gauge length and border
+        self._square = np.zeros((frames, 5))  # variance by unknown and advected skin
 
     def look(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """At these n frames: what was found of these displacements, where points (n, N) `entered` by moving in."""
+        """Add n frames: their fields `found` of these displacements, and which points (n, N) `entered` by advection."""
         assert found.median is not None
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
@@ -75,10 +77,10 @@ class MedianBias:
         self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
     def square(self) -> NDArray[np.float64]:
-        """(T, 5), to be added to the variance.
+        """Return the additional variance (T, 5) of the medians.
 
-        Where a contact is too small for twice the gauge length it is that of the nearest frame in which it is not, and
-        NaN where that is so all along.
+        Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
+        NaN if there is none.
         """
         frames = np.arange(len(self._square))
         result = self._square.copy()
@@ -90,28 +92,29 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """(n, 5) variance of the medians by what their ranks are uncertain by, from the fields at points: by the share of
-    the contact that is not known, and by so many points (n,) that moved in.
+    """Return the variance (n, 5) of the medians by the uncertainty of their ranks.
 
-    0 in frames where nothing is known: there are no medians.
+    Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
+    nothing is known and there are no medians.
     """
     assert found.known_share is not None
     assert found.median is not None
     share, result = found.known_share.cpu().numpy().astype(np.float64), np.zeros((len(found.known_share), 5))
     came = np.zeros(len(share)) if entered is None else np.asarray(entered, dtype=np.float64)
-    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # else both ranks are one
+    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # otherwise both ranks are the same
     if not len(some):
         return result
     fields = _five(found).cpu().numpy()[some]
     whole = np.isfinite(fields.sum(1, keepdims=True))
-    # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
+    # Points are denser where skin has texture, so the median of points differs from that of the area: ranks are
+    # counted from the latter.
     ordered = np.where(whole, fields, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
     count, frame, field = whole.sum(2), np.arange(len(some))[:, None], np.arange(5)
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
     def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of half the difference of fields so many ranks (k, 1) above and below."""
+        """Return the square of half the difference between the fields so many ranks (k, 1) above and below."""
         low, high = (
             ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)
@@ -127,5 +130,5 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
 
 
 def _five(found: Fields) -> Tensor:
-    """(n, 5, N) divergence, curl and strain of points."""
+    """Return divergence, curl and strain of points (n, 5, N)."""
     return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1)

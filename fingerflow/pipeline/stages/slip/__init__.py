@@ -1,1 +1,1 @@
-"""The stick and slip regions of the contact."""
+"""Stick and slip regions of the contact."""

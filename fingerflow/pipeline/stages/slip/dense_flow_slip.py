@@ -1,4 +1,4 @@
-"""The stuck part by the dense flow of the skin, and how far its points agree with that."""
+"""Stick region from dense flow of the skin, and comparison of the flow with tracked points."""
 
 import math
 from typing import Any, ClassVar
@@ -18,39 +18,43 @@ from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
 
-_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of two components with a deviation of 1
-_DISAGREE = 4.0  # deviations; smoothing, which these do not contain, makes up to 2 on the synthetic trials
-_LEAST = 0.5  # of the skin must be believed in a frame
-_BESIDE_PX = 12  # of skin around what the points tell of, for the flow at their border
+_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector whose two components have a standard deviation of 1
+_DISAGREE = 4.0  # standard deviations; smoothing, which they do not contain, makes up to 2 on the synthetic trials
+_LEAST = 0.5  # share of the skin in which the flow must be accepted in a frame
+_BESIDE_PX = 12  # margin of skin around the cells known by points, for the flow at their border
 
 
 class DenseFlowSlipStage(SlipStage):
-    """As `SlipStage`, by dense flow since the first frame in place of points ([slip] displacement = "dense_flow").
+    """`SlipStage` with dense flow since the first frame instead of points ([slip] displacement = "dense_flow").
 
-    The motion of the points is compared with it in each frame, where they lay in the first one: median and 95th
-    percentile of the distance, and a warning where the median is above what their deviations allow four times.
+    In each frame the displacement of the points is compared with the flow at their positions in the first frame: median
+    and 95th percentile of the difference. A warning is given where the median exceeds four times what their standard
+    deviations allow.
 
-    Which is better where, on ten of the trials of `python -m bench slip` (seeds 100, 107 ... 163; 920 frames), d² by
-    the criterion "border", before noise inside the stuck part was told from slip (on one trial that took the frames
-    within 0.02 from 83 % to all by dense flow, the worst from 0.034 to 0.014; by points 99 % before and after):
+    Comparison on ten of the trials of `python -m bench slip` (seeds 100, 107 ... 163; 920 frames), d² by the criterion
+    "border":
 
-    - points: within 0.02 in 82 % of the frames, error 0.015 RMS, the worst frame 0.054; 33 ms of CPU a frame;
-    - dense flow: 77 %, 0.016, 0.040; 67 ms of CPU a frame. It is the better one at noise above 2 grey levels as often
-      as not, and comes out too small by 0.007 in the mean: with noise of 1 to 2 grey levels points are better.
+    - points: within 0.02 in 82 % of the frames, error 0.015 RMS, worst frame 0.054; 33 ms of CPU a frame;
+    - dense flow: 77 %, 0.016, 0.040; 67 ms of CPU a frame. It is too small by 0.007 on average. With noise of 1 to 2
+      grey levels points are better; above 2 grey levels dense flow is better as often as not.
 
-    The flow itself is the quieter one and looks less far: beside a stuck part it shows 2 um where windows of 17 px show
-    6, and of skin that sticks 1.2 to 1.7 um of noise where single points have 2. So it is the one for maps
-    (`skin_displacement`), and for skin on which there are few corners.
+    This was before noise inside the stick region was distinguished from slip. On one trial that raised the frames
+    within 0.02 from 83 % to all with dense flow, and reduced the worst error from 0.034 to 0.014. With points the share
+    is 99 % before and after.
+
+    The flow has less noise and averages over shorter distances: beside a stick region it shows 2 um where windows of 17
+    px show 6, and sticking skin has 1.2 to 1.7 um of noise where single points have 2. So it is preferable for maps
+    (`skin_displacement`), and for skin with few corners.
     """
 
     name = "dense_flow_slip"
     instead = True
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
-    clear = 3.0  # the flow shows 2 to 3 um at the border, and has a noise of 1.2 to 1.7 um
+    clear = 3.0  # argument of `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um
 
     def begin(self) -> None:
-        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px  # mm of px
+        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px  # (2, 2), px to mm
         self._usable = self.trial.stage(FrameCheckStage).usable
         self._flow: SkinFlow | None = None
         self._flow_deviation, self._median, self._most, self._apart = np.full((4, len(self.trial)), np.nan)
@@ -61,7 +65,7 @@ class DenseFlowSlipStage(SlipStage):
         self.results.create("skin_displacement", where, cell_row=rows, cell_column=columns)
 
     def step(self, batch: Batch) -> None:
-        """Finds the flow of these frames."""
+        """Compute the flow of these frames, then step as `SlipStage`."""
         if self._grid is not None and self._flow is not None:
             images = self._topography(batch.frames)
             for k, frame in enumerate(batch.indices):
@@ -95,7 +99,7 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Measured on the first picture, which is opened here."""
+        """Return the response of the flow, measured on the first picture; this also prepares the flow."""
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
@@ -109,7 +113,7 @@ class DenseFlowSlipStage(SlipStage):
         return self.inputs.view(frames, view)
 
     def _follow(self, frame: int, image: Tensor, grid: SlipGrid, flow: SkinFlow) -> None:
-        """The flow of a frame, and the points beside it."""
+        """Compute the flow of a frame and compare it with the points."""
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
@@ -132,7 +136,7 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """How far points (N, 2) mm are from the flow (N, 3) px at their places, in mm and in deviations of both."""
+        """Compare points (N, 2) mm with the flow (N, 3) px at their positions, in mm and in standard deviations."""
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():
@@ -156,7 +160,10 @@ class DenseFlowSlipStage(SlipStage):
         return np.asarray(grid.at_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
-        """What is not known between what is counts as the nearest that is."""
+        """Return a frame's displacement in cells (rows, columns, 2) mm, with gaps filled from the nearest known cell.
+
+        Cells that are not known by points (`SlipGrid.known`) are 0; all are NaN where no cell is known.
+        """
         known = np.isfinite(motion).all(-1)
         if not known.any():
             return np.full(motion.shape, np.nan, np.float32)
@@ -173,12 +180,12 @@ class DenseFlowSlipStage(SlipStage):
         return float(self._flow_deviation[frame])
 
     def _pixels_at(self, places: NDArray[np.float64]) -> Field:
-        """(..., 2) px of the topographic view, of mm on the glass."""
+        """Return positions (..., 2) px in the topographic view of positions (..., 2) mm on the glass."""
         origin = self.inputs.on_glass(np.zeros(2))
         return np.asarray((places - origin) @ np.linalg.inv(self._of_px).T, dtype=np.float32)
 
     def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
-        """(H, W) of cells, in which the pixels of the topographic view lie."""
+        """Return the column and row (H, W) of cells, fractional, at each pixel of the topographic view."""
         y, x = np.indices(shape)
         pixels = np.stack((x, y), -1).astype(np.float64)
         cells = (self.inputs.on_glass(pixels) - grid.places[0, 0]) / (4 * grid.fine_mm)
@@ -186,13 +193,13 @@ class DenseFlowSlipStage(SlipStage):
         return column, row
 
     def _pixels_of(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
-        """(H, W) whether pixels lie where points tell of the skin, or little beside."""
+        """Return the mask (H, W) of pixels in the cells known by points, or within a margin of `_BESIDE_PX`."""
         near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
         return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8)) > 0)
 
     def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
-        """(H, W, 2), of values of cells (rows, columns, 2) that are known, elsewhere as the nearest."""
+        """Return pixel values (H, W, 2) of cells (rows, columns, 2); unknown cells have the nearest known value."""
         row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
         at = self._columns_and_rows(grid, shape)
         wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -200,7 +207,7 @@ class DenseFlowSlipStage(SlipStage):
 
 
 def _sampled(field: Field, pixels: Field) -> Field:
-    """(..., C) of a field (H, W, C) at places (..., 2) px; NaN beyond, and beside what is NaN."""
+    """Return values (..., C) of a field (H, W, C) at positions (..., 2) px; NaN outside, and next to NaN."""
     x, y = (np.ascontiguousarray(pixels[..., k].reshape(-1, 1)) for k in (0, 1))
     values = cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(math.nan,) * 4)
     return np.asarray(values.reshape(*pixels.shape[:-1], -1), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""How dense flow blurs the border of a stuck part, measured on the picture that it starts from."""
+"""Measurement of how dense flow blurs the border of a stick region, on the reference picture of the flow."""
 
 import cv2
 import numpy as np
@@ -9,23 +9,23 @@ from torch import Tensor
 from fingerflow.models.partial_slip.border import POWER
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
 
-_INSIDE = 0.4  # of the mask, within the border that is tried
-_LARGEST_PX = 3.0  # motion that is tried, where the mask ends
-_REACH_PX = 32  # on either side of the border, beyond which nothing of it is seen
+_INSIDE = 0.4  # share of the mask inside the simulated border
+_LARGEST_PX = 3.0  # simulated displacement at the end of the mask
+_REACH_PX = 32  # on either side of the border; the flow is not affected farther away
 _STEP_PX = 0.5
-_ROUNDS = 20  # of the inversion; it converges as the gradient's power
-_SHORTEST_PX = 4  # from the border to the end of the mask, below which nothing is measured
+_ROUNDS = 20  # iterations of the inversion; the error falls with the power of the gradient
+_SHORTEST_PX = 4  # least distance from the border to the end of the mask
 
 Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """What the flow shows of a displacement x^p beyond a border: a `models.partial_slip.border.Seen`.
+    """Flow measured for a displacement x^p beyond a border: a `models.partial_slip.border.Seen`.
 
-    The smoothing of the flow follows texture and noise, so it is not known beforehand. Here the picture itself is moved
-    by x^p from a border in it on, along x and along y, and the flow found. It moves with its own noise, so that what
-    is left is the blur alone. On the synthetic trials it shows at the border what windows of 8 px would, and rings a
-    little beside it.
+    The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
+    displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
+    it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
+    and overshoots a little beside it.
 
     Args:
         template: of ``image``.
@@ -47,7 +47,10 @@ class FlowResponse:
         self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """mm^p at distances (K,) mm from the border; further away than was measured it is x^p itself."""
+        """Return the measured displacement, mm^p, at distances (K,) mm from the border.
+
+        Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
+        """
         blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
         return np.asarray(np.maximum(distance, 0) ** POWER + blur)
 
@@ -61,11 +64,14 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """px (K,), by how much the flow along an axis is above the truth at distances (K,) px beyond the border, a mean."""
+    """Return the mean excess (K,) px of the flow along an axis over the true displacement.
+
+    `distances` (K,) px are beyond the border.
+    """
     picture = image[0, 0].cpu().numpy().astype(np.float32)
     height, width = picture.shape
     pixel = [part.astype(np.float32) for part in np.meshgrid(np.arange(width), np.arange(height))]
-    x, y = pixel  # origin of what is seen at a pixel: origin + length(origin) = pixel
+    x, y = pixel  # origin of the skin at a pixel: origin + length(origin) = pixel
     for _ in range(_ROUNDS):
         gone = np.asarray(cv2.remap(length, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         x, y = (pixel[0] - gone, y) if axis == 0 else (x, pixel[1] - gone)

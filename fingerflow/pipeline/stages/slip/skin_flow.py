@@ -1,4 +1,4 @@
-"""Where the skin of a first picture has gone, pixel by pixel, through the pictures that follow."""
+"""Displacement of every pixel of the skin from a first picture through the following ones."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,19 +15,20 @@ from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-ROUGHNESS = 0.2  # of `ops.dense_flow`: skin beside a stuck part is stretched by 0.15 to 0.3
+ROUGHNESS = 0.2  # of `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # side of the window over which texture is measured: a period of ridges
-_LEFT = 0.35  # of the texture's deviation that may be left unexplained: 0.8 px of a ridge; rightly found skin has 0.2
-_FEWEST = 0.5  # of what may be left unexplained is left on average, before another start is tried
+# Largest residual over the standard deviation of texture: an error of 0.8 px at a ridge; correct flow leaves 0.2.
+_LEFT = 0.35
+_FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displacement is tried
 
 
 class FlowMotion(NamedTuple):
-    """Of a picture, against the first one.
+    """Motion in a picture relative to the first one.
 
     Attributes:
-        displacement: (H, W, 2) px of what stood at each pixel of the first picture; NaN where it is not believed.
-        variance: (H, W) px^2 of a component, of the noise of the pictures.
-        explained: from 1, where nothing is left of the texture, to 0, where nothing is believed; mean over the skin.
+        displacement: (H, W, 2) px of the skin at each pixel of the first picture; NaN where the flow is rejected.
+        variance: (H, W) px^2 of a component, by image noise.
+        explained: mean over the skin of 1 where no residual is left, down to 0 where the flow is rejected.
     """
 
     displacement: Field
@@ -36,49 +37,49 @@ class FlowMotion(NamedTuple):
 
 
 class SkinFlow:
-    """Dense flow (`ops.dense_flow`) against the first picture, each begun where the two before lead.
+    """Dense flow (`ops.dense_flow`) relative to the first picture, started from the motion in the two pictures before.
 
-    The smoothness is set for a rim that slips: with the op's own, which is for a finger that widens evenly, errors on
-    `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the part that slips, with this one 0.05 to 0.09, for
-    0.020 to 0.035 in place of 0.010 to 0.1 in the part that sticks.
+    The smoothness is set for a slipping rim. With the default of `ops.dense_flow`, for a finger that widens evenly,
+    errors on `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the slip region; with this one they are 0.05 to
+    0.09. In the stick region they are 0.020 to 0.035 instead of 0.010 to 0.1.
 
-    A pixel is believed where flow and light explain seven eighths of the texture's variance around it, and the nearest
-    tracked point does not contradict it by a quarter of the ridges' distance. Where too little is explained, the flow
-    is begun anew from the points, and where that does not help either the first picture is left: the last one that was
-    explained, drawn as the skin lay in the first one, takes its place. Its errors are from then on in all that follow,
-    and skin that was not known in it is not known any more.
+    A pixel is accepted where flow and light explain seven eighths of the texture's variance around it, and the
+    displacement of the nearest tracked point differs by less than a quarter of the ridge distance. Where too little is
+    explained, the flow starts again from the points. If that does not help either, the reference picture is updated:
+    the last picture that was explained, warped back to the first one, replaces it. From then on its errors add to all
+    later ones, and skin that was not known in it is lost.
 
     Args:
         image: (1, 1, H, W) the first picture.
         mask: (H, W) bool of the skin.
-        apart_px: by how much a point contradicts: a quarter of the ridges' distance.
+        apart_px: largest difference from the nearest point: a quarter of the ridge distance.
 
     Attributes:
-        renewed: how often the first picture was left.
+        renewed: number of updates of the reference picture.
     """
 
     def __init__(self, image: Tensor, mask: Mask, apart_px: float) -> None:
         self._apart = apart_px
         self.renewed = 0
         self._mask = mask
-        self._walked = np.zeros(mask.shape, np.float32)  # variance of the pictures that took the first one's place
+        self._walked = np.zeros(mask.shape, np.float32)  # variance of the reference picture's own displacement
         self._noise: Tensor | None = None
         self._compare_with(image, mask)
         self._noise = self.template.variance.sqrt()
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
-        self._unsure = False  # whether skin of the last picture is not known, and begins from what is expected
+        self._unsure = False  # True if skin in the last picture was lost: it starts from `expected`
         self._known = FlowMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
-        self._picture: Tensor | None = None  # the last one that was known, if it is another than that compared with
+        self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
     def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
-        """The motion in the next picture.
+        """Return the motion in the next picture.
 
         Args:
             image: (1, 1, H, W).
             places: (P, 2) px of tracked points in the first picture.
             moved: (P, 2) px, their displacement in this one, NaN where lost.
-            expected: gives a displacement (H, W, 2) px to begin from, where the flow is lost.
+            expected: returns an initial displacement (H, W, 2) px where the flow is lost.
         """
         seen = np.isfinite(moved).all(-1)
         beside = _Nearest(places[seen], moved[seen], self._mask.shape, self._apart)
@@ -95,7 +96,7 @@ class SkinFlow:
                 found, motion = _better((found, motion), self._found(image, start, 2, beside))
         here = torch.from_numpy(motion.displacement.transpose(2, 0, 1)[None]).to(found.displacement)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
-        # A jump is no speed: the next picture is expected where this one is.
+        # After a jump the speed is set to 0.
         step = (here - self._last).nan_to_num(0.0)
         self._speed = step if float(step.norm(dim=1).max()) < self._apart else torch.zeros_like(step)
         self._last = here
@@ -126,7 +127,7 @@ class SkinFlow:
         )
 
     def _renew(self, picture: Tensor) -> None:
-        """Compares with a picture whose motion is `_known` from now on, drawn as its skin lay in the first one."""
+        """Update the reference: `picture`, whose motion is `_known`, warped back to the first picture."""
         known = np.isfinite(self._known.variance)
         y, x = np.indices(known.shape, dtype=np.float32)
         went = np.nan_to_num(self._known.displacement)
@@ -142,7 +143,7 @@ def _better(one: tuple[Flow, FlowMotion], other: tuple[Flow, FlowMotion]) -> tup
 
 
 class _Nearest:
-    """The displacement of the nearest of some points (P, 2) px, at every pixel."""
+    """Displacement of the nearest of some points (P, 2) px, at every pixel."""
 
     def __init__(self, places: Field, moved: Field, shape: tuple[int, ...], apart: float) -> None:
         self._apart, self._moved = apart, moved
@@ -151,7 +152,7 @@ class _Nearest:
             empty = np.ones(shape, np.uint8)
             column, row = np.clip(np.rint(places).astype(int), 0, np.array(shape)[::-1] - 1).T
             empty[row, column] = 0
-            # Labels count the zeros by rows; of points in one pixel, one speaks.
+            # Labels number the zero pixels by rows; of points in one pixel, the last one is used.
             _, label = cv2.distanceTransformWithLabels(
                 empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
             )
@@ -160,7 +161,7 @@ class _Nearest:
             self._number = of_label[label]
 
     def agrees(self, displacement: Field) -> Mask:
-        """(H, W) whether a displacement (H, W, 2) px is near that of the nearest point; all where there is no point."""
+        """Return where (H, W) a displacement (H, W, 2) px agrees with the nearest point; True without points."""
         if self._number is None:
             return np.ones(displacement.shape[:2], dtype=bool)
         off = np.linalg.norm(displacement - self._moved[self._number], axis=-1)

@@ -1,4 +1,4 @@
-"""The displacement of the skin between tracked points."""
+"""Interpolation of the skin's displacement between tracked points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ _FEWEST = 3  # points, for a plane
 
 
 class SkinSurface:
-    """The thin plate (Duchon 1977) through the displacements of points, at places that stay the same.
+    """Thin plate spline (Duchon 1977) through the displacements of points, evaluated at fixed positions.
 
-    Points and places are those of one frame, that is, of the skin: so all that is costly is done once, and a frame is
-    a product of matrices. Points that a frame has lost have no say in it: they take the value at which the plate is not
-    bent by them, which a system of as many equations as there are lost points gives.
+    Points and positions are those of one frame, that is, of the skin. All costly steps are done once, and a frame takes
+    a product of matrices. Points that are lost in a frame have no influence: they take the value at which they do not
+    bend the plate. A system with as many equations as lost points gives these values.
 
     Args:
         points: (N, 2) mm, finite and not all on a line.
@@ -28,7 +28,7 @@ class SkinSurface:
         if len(points) < _FEWEST:
             raise ValueError(f"{len(points)} points do not span an area: a displacement between them is not known")
         centre = points.mean(0)
-        # In units of the points' own spread, for the conditioning of what follows.
+        # In units of the points' spread, for the conditioning of the matrices.
         scale = float(np.abs(points - centre).max()) or 1.0
         own, asked = (points - centre) / scale, (places - centre) / scale
         plane = np.concatenate((np.ones((len(own), 1)), own), 1)
@@ -36,7 +36,7 @@ class SkinSurface:
         if free.shape[1] != len(own) - _FEWEST:
             raise ValueError(f"{len(own)} points do not span an area: a displacement between them is not known")
         bending = _kernel(cdist(own, own, "sqeuclidean"))
-        # On the coefficients that bend the plate its energy is positive definite (Wahba 1990).
+        # The bending energy is positive definite on coefficients orthogonal to planes (Wahba 1990).
         self._bend = np.zeros_like(bending)
         if free.shape[1]:
             factor = cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1]))
@@ -48,8 +48,9 @@ class SkinSurface:
         self._weights = (between @ self._bend + lying @ level).astype(np.float32)
 
     def __call__(self, moved: Points) -> NDArray[np.float32]:
-        """Displacement (Q, 2) of the skin at the places, from that (N, 2) of the points, NaN where one is lost; NaN
-        where three points are not left.
+        """Return the displacement (Q, 2) of the skin at the positions, from that of the points (N, 2), NaN where lost.
+
+        It is NaN where fewer than three points are left.
         """
         lost = ~np.isfinite(moved).all(-1)
         if lost.all() or (~lost).sum() < _FEWEST:
@@ -63,5 +64,5 @@ class SkinSurface:
 
 
 def _kernel(squared: Points) -> Points:
-    """r^2 log r of squared distances."""
+    """Return r^2 log r of squared distances."""
     return np.asarray(squared * np.log(np.maximum(squared, 1e-300)) / 2)

@@ -1,4 +1,4 @@
-"""Which part of the contact sticks to the glass, and what becomes of it in a trial of tangential loading."""
+"""Stick region of the contact, and the verdict on a trial of tangential loading."""
 
 import json
 import math
@@ -34,42 +34,47 @@ from fingerflow.pipeline.stages.trial.loading import LoadingStage
 from fingerflow.pipeline.stages.trial.series import nanmedian
 from fingerflow.schema.variables import SLIP
 
-LEAST_COVERAGE = 0.9  # of the contact in which the displacement must be known
-_MEDIAN_S = 0.07  # s of a running median of the positions: of skin that goes one way, a median is where it is
-_SPEED_S = 0.05  # s over which a speed is taken
+LEAST_COVERAGE = 0.9  # share of the contact in which the displacement must be known
+_MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
+_SPEED_S = 0.05  # s over which a speed is measured
 _FRAMES = 64  # in memory at a time
-_FEWEST_POINTS = 3  # that slip, for a direction
-# Of the critical area: RMS of its error on the twelve trials of `bench slip` whose true one is above 0 and below 0.15.
+_FEWEST_POINTS = 3  # slipping points for a direction
+# RMS error of the critical area, on the twelve trials of `bench slip` whose true one is above 0 and below 0.15.
 _CRITICAL_STD = 0.04
-_LEAST_LIMIT = 2.0  # times the deviation of a displacement: below, one in twenty points that stick is beyond the limit
+_LEAST_LIMIT = 2.0  # standard deviations of a displacement: below, one in twenty sticking points exceeds the limit
 
 
 class SlipStage(Stage):
-    """The stuck part: the largest connected part of the gross contact whose skin has not slipped since the first frame.
+    """Stick region: the largest connected part of the gross contact whose skin has not slipped since the first frame.
 
-    [slip] criterion says what counts as that. Displacement counts against the glass, which rests in the picture:
+    Displacement counts against the glass, which is at rest in the picture. [slip] criterion selects what sticks; d^2 is
+    the area of the stick region over that of the contact:
 
-    - "border": where displacement begins, as the windows of the points show it (`StuckBorder`): the model's own d^2.
-      On 100 random trials with a camera's noise of 1 to 3 grey levels (`python -m bench slip`) d^2 is within 0.02 in
-      88 % of the frames, the worst frame of a trial is 0.024 off (median; 0.054 at most). 90 verdicts are right, none
-      is wrong, and 10 trials are inconclusive, as their critical area is found within 0.04 of the limit of 0.05; by the
-      area alone 96 would be right. mu_k / mu_s comes out to 5 % in 45 % of the trials that vanish abruptly by the
-      critical area, in 55 % by the fit.
-    - "displacement": less than stuck_mm, 40 um in Terekhov & Hayward (2011). Skin beside the stuck part has slipped by
-      less than that too, so this d^2 is larger, by 0.15 to 0.22 at most on trials of `fingerflow.synthetic.PartialSlip`
-      whose rim creeps by 0.6 to 1.4 mm; coefficients of friction that are fitted to it are wrong.
-    - "relative": the same against the best rigid motion of the skin that stuck in the frame before, for glass that
-      moves. Skin that has come loose does not stick again. Where the last of it comes loose as one, about a seventh of
-      the contact on those trials, nothing in view tells: that part stays stuck, and a verdict needs another criterion.
+    - "border": the border is where displacement begins, as the windows of the points show it (`StuckBorder`): the
+      model's own d^2. On 100 random trials with camera noise of 1 to 3 grey levels (`python -m bench slip`) d^2 is
+      within 0.02 in 88 % of the frames; the worst frame of a trial is 0.024 off (median; 0.054 at most). 90 verdicts
+      are right, none is wrong, and 10 trials are inconclusive, as their critical area is within 0.04 of the limit of
+      0.05; by the area alone 96 would be right. In trials whose stick region vanishes abruptly, mu_k / mu_s is found to
+      5 % in 45 % of them by the critical area, in 55 % by the fit.
+    - "displacement": skin sticks that has moved by less than stuck_mm, 40 um in Terekhov & Hayward (2011). Skin beside
+      the stick region has slipped by less than that too, so this d^2 is larger: by 0.15 to 0.22 at most on trials of
+      `fingerflow.synthetic.PartialSlip` whose rim creeps by 0.6 to 1.4 mm. Coefficients of friction fitted to it are
+      wrong.
+    - "relative": the same, relative to the best rigid motion of the skin that stuck in the frame before, for moving
+      glass. Skin that has come loose does not stick again. When the rest of the stick region comes loose as a whole
+      (about a seventh of the contact in those trials), the view does not show it: that part stays stuck, and a verdict
+      needs another criterion.
 
-    [slip] displacement = "dense_flow" takes the displacement of all skin by dense flow in place of the points'
+    [slip] displacement = "dense_flow" takes the displacement of all skin from dense flow instead of points
     (`DenseFlowSlipStage`).
 
-    What limits d² is no noise: with 2 um a point, a hundred points along the border and a displacement that has grown
-    by 0.1 um a um beside it, the border is known to 3 um and d² to 0.002. What is left is one shift for all frames of a
-    trial, as the power with which displacement begins is not known: 0.03 between 3/2 and 2. mu_k / mu_s = (1 - 2 A) /
-    (1 - A) of the critical area A to 5 % asks for 0.05 mu_k / mu_s (1 - A)² of A: 0.005 at a ratio of 0.3, 0.011 at
-    0.5, and 0.02 only above 0.69; and with 72 frames of loading the last one before the loss is 0.08 above A at 0.5.
+    Noise does not limit d²: with 2 um per point, a hundred points along the border, and a displacement beside it that
+    has grown by 0.1 um per um, the border is known to 3 um and d² to 0.002. What remains is one shift for all frames of
+    a trial, as the power with which displacement begins is not known: 0.03 between 3/2 and 2.
+
+    mu_k / mu_s = (1 - 2 A) / (1 - A), with the critical area A, is known to 5 % if A is known to
+    0.05 mu_k / mu_s (1 - A)²: 0.005 at a ratio of 0.3, 0.011 at 0.5, and 0.02 only above 0.69. With 72 frames of
+    loading, d² of the last frame before the loss is 0.08 above A at a ratio of 0.5.
 
     A fit that contradicts the T/N at which adhesion was lost is marked as not identified.
     """
@@ -84,7 +89,7 @@ class SlipStage(Stage):
         *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
     )
-    clear = 0.0  # of `StuckBorder`; single points show the border well above their noise
+    clear = 0.0  # argument of `StuckBorder`: single points show the border well above their noise
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -119,7 +124,7 @@ class SlipStage(Stage):
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
-        """Gathers what all frames say of the border; how much of the contact is known."""
+        """Accumulate the data for the fit of the border, and compute the share of the contact that is known."""
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
@@ -138,35 +143,37 @@ class SlipStage(Stage):
                 self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """What the motion shows of a displacement that begins at a border."""
+        """Return the measured displacement by distance, for a displacement that begins at a border."""
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        """Displacement (n, ...) mm since the first frame, NaN where it is not known: of the points (n, N, 2)."""
+        """Return displacements (n, ...) mm since the first frame, NaN where not known; here (n, N, 2) of the points."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """(N, 2) mm, of a frame's motion where the points lay in the first frame."""
+        """Return a frame's displacement (N, 2) mm at the points' positions in the first frame."""
         return motion
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
-        """(rows, columns, 2) mm, of a frame's motion."""
+        """Return a frame's displacement in cells (rows, columns, 2) mm."""
         return grid.displacement(motion)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """(K, 2) mm, where skin is now whose motion is known."""
+        """Return the present positions (K, 2) mm of skin whose displacement is known."""
         places = grid.points + motion
         return np.asarray(places[np.isfinite(places).all(-1)])
 
     def _deviation_of(self, frame: int) -> float:
-        """px, median standard deviation of a component of a displacement."""
+        """Return the median standard deviation, px, of a component of a displacement."""
         if "position_std_px" not in self.results:
             return math.nan
         return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
-        """Whether a contact reaches the edge of the view, as far as ridges tell: its border is known to half of their
-        distance, so the region of a contact that is cut may end by as much before the edge.
+        """Return whether a contact reaches the edge of the view.
+
+        The contact border is known to half of the ridge distance, so the region of a contact that is cut may end by as
+        much before the edge.
         """
         contact = self.inputs.scene.contact
         inner = max(1, math.ceil(contact.gross_radius_px / self.trial.stage(ContactStage).cell_px))
@@ -202,26 +209,26 @@ class SlipStage(Stage):
             self.results.put(f"incipient_slip{name}", values)
 
     def _limit(self) -> float:
-        """mm, below which displacement counts as none, or NaN where it is not known."""
+        """Return the displacement, mm, below which skin counts as stuck; NaN where it is not known."""
         if self._settings.criterion != "border":
             return self._settings.stuck_mm
         return math.nan if self._border is None else self._border.level
 
     def _find_stuck(self, first: int, end: int, grid: SlipGrid, criterion: "StuckBorder | Length") -> None:
-        """The stuck part and what slips in some frames."""
+        """Find the stick region, and direction and speed of slip, in frames `first` to `end` - 1."""
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
         regions = self.results["gross_contact_region"][slice(first, end)] > 0
         stuck = np.zeros(regions.shape, dtype=bool)
         for k, frame in enumerate(range(first, end)):
-            # An area at the edge of the view is a part of one.
+            # A contact at the edge of the view is only partly visible.
             if not self._coverage[frame] >= LEAST_COVERAGE or self._edge[frame]:
                 continue
-            # As many frames on either side, so that a median is not late.
+            # As many frames on either side, so that the median has no lag.
             beside = min(self._beside, frame, len(self.trial) - 1 - frame)
             around = motion[frame - beside - start : frame + beside + 1 - start]
-            # Where one side is lost, as after a jump, the other alone would be late.
+            # A frame counts only with its mirror frame: where one side is lost, the other alone would give a lag.
             settled = nanmedian(np.where(np.isfinite(around[::-1]), around, np.nan)[None])[0]
             moved, displacement = self._at_points(settled, grid), self._over_cells(settled, grid)
             if not np.isfinite(displacement[grid.known]).all():
@@ -244,7 +251,7 @@ class SlipStage(Stage):
         region: NDArray[np.bool_],
         grid: SlipGrid,
     ) -> None:
-        """Direction and speed of the skin that slips."""
+        """Compute direction and speed of the skin that slips."""
         slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
             return
@@ -286,7 +293,7 @@ class SlipStage(Stage):
         return verdict
 
     def _warn_of_noise(self) -> None:
-        """Skin that rests is beyond a limit that its noise reaches; positions of the first frame have theirs too."""
+        """Warn if noise of displacements reaches the limit, so that skin at rest would count as slipped."""
         limit = self._limit()
         if self._border is not None and self._settings.criterion == "border":
             limit = self._border.followed
@@ -318,7 +325,7 @@ class SlipStage(Stage):
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Root mean squares (mm) over the contact of what the best rigid motion leaves and of its two parts."""
+    """Return the RMS (mm) of non-rigid displacement over the contact, and of its irrotational and solenoidal parts."""
     places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
@@ -330,7 +337,7 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """The fit; not identified where its curve does not lose adhesion at the T/N at which the trial did."""
+    """Return the fit, marked as not identified where its curve loses adhesion at another T/N than the trial."""
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))
@@ -344,7 +351,7 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can say: null for NaN."""
+    """Return a value that JSON can represent: None for NaN."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

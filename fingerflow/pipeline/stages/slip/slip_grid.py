@@ -1,4 +1,4 @@
-"""Where displacement is looked up in a contact: the cells of its region, and four times as fine."""
+"""Grid of the contact for displacement and stick region: its cells, and a grid four times as fine."""
 
 from typing import Any
 
@@ -13,25 +13,25 @@ Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_FINE = 4  # places along a cell: an area is then known to a thousandth of the contact
+_FINE = 4  # fine positions along a cell: an area is then known to a thousandth of the contact
 
 
 class SlipGrid:
-    """The skin that lies on the cells of the contact's region in the first frame.
+    """Skin on the cells of the contact region in the first frame.
 
-    Skin that sticks is in every frame where it was in the first one, so whether a cell of a later frame sticks is asked
-    of the skin that lay there at first: places stay the same from frame to frame.
+    Sticking skin stays where it was in the first frame. So a cell of a later frame sticks if the skin that lay there at
+    first sticks, and positions are the same in all frames.
 
     Args:
         points: (N, 2) mm, tracked points in the first frame, finite.
         shape: rows and columns of cells.
         cell_mm, first_cell_mm: side of a cell and centre of the first one.
-        reach_mm: how far from a point displacement is known.
+        reach_mm: distance from a point within which displacement is known.
 
     Attributes:
         points: as given.
-        known: (rows, columns) cells whose displacement is known.
-        fine_mm: distance of the fine places.
+        known: (rows, columns) bool, cells whose displacement is known.
+        fine_mm: spacing of the fine grid.
 
     Raises:
         ValueError: the points do not span an area.
@@ -55,33 +55,33 @@ class SlipGrid:
         )
 
     def displacement(self, moved: Array) -> Field:
-        """(rows, columns, 2) mm, from that (N, 2) of the points, NaN where one is lost; 0 where it is not known."""
+        """Return displacement (rows, columns, 2) mm from that (N, 2) of the points, NaN where lost; 0 if unknown."""
         result = np.zeros((*self.known.shape, 2), np.float32)
         result[self.known] = self._surface(moved)
         return result
 
     def fine(self, values: Field) -> Field:
-        """Values of cells (rows, columns) or (rows, columns, C) at the fine places, linear in between."""
+        """Return values of cells (rows, columns) or (rows, columns, C) on the fine grid, by linear interpolation."""
         rows, columns = values.shape[:2]
         size = (columns * _FINE, rows * _FINE)
         result: Field = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)
         return result
 
     def fine_mask(self, cells: Mask) -> Mask:
-        """The fine places in cells."""
+        """Return a mask of cells on the fine grid."""
         return np.asarray(cells.repeat(_FINE, 0).repeat(_FINE, 1))
 
     def cells(self, fine: Mask) -> Mask:
-        """Cells of which half or more is in a fine mask."""
+        """Return the cells of which half or more is in a fine mask."""
         rows, columns = self.known.shape
         return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
 
     def share(self, fine: Mask, region: Mask) -> float:
-        """Area of a fine mask over that of a region of cells."""
+        """Return the area of a fine mask over that of a region of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
     def covered(self, places: Array, region: Mask) -> Mask:
-        """(N,) whether places (N, 2) mm lie in a region of cells; those with a NaN do not."""
+        """Return which positions (N, 2) mm lie in a region of cells, (N,); False for NaN."""
         finite = np.isfinite(places).all(-1)
         at = np.rint((np.nan_to_num(places) - self.places[0, 0]) / (self.fine_mm * _FINE)).astype(int)
         inside = finite & (at >= 0).all(-1) & (at < np.array(region.shape[::-1])).all(-1)
@@ -89,5 +89,5 @@ class SlipGrid:
         return np.asarray(inside & region[row, column])
 
     def at_points(self, fine: NDArray[Any]) -> NDArray[Any]:
-        """Fine values (N,) where the points lay in the first frame."""
+        """Return fine values (N,) at the points' positions in the first frame."""
         return np.asarray(fine[self._row, self._column])

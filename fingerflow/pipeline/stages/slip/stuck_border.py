@@ -1,4 +1,4 @@
-"""The border of the stuck part, found by how the displacement beside it begins."""
+"""Border of the stick region, from the onset of displacement beside it."""
 
 import math
 
@@ -12,39 +12,39 @@ from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 
-FOLLOWED_MM = 0.02  # displacement whose contour the displacement beside it is averaged along: far above its noise
-_FEWEST_SLIPPED = 5  # points of a frame that tell the direction of slip
+FOLLOWED_MM = 0.02  # displacement of the contour along which displacements are averaged: far above their noise
+_FEWEST_SLIPPED = 5  # slipping points of a frame for the direction of slip
 _HELD_SHARE = 0.25  # of the limit, below which points are held by the glass
-_FEWEST_HELD = 3  # points that a rigid motion is taken from
-_LEAST_INSIDE = 0.1  # of the contact within the contour: there is room for windows that do not reach it
+_FEWEST_HELD = 3  # points for the fit of a rigid motion
+_LEAST_INSIDE = 0.1  # share of the contact within the contour: leaves space for windows that do not reach it
 _BINS_A_WINDOW = 14
-_FROM, _TO = -0.36, 3.5  # half windows from the contour, negative outside, that the fit takes
+_FROM, _TO = -0.36, 3.5  # range of the fit in half windows from the contour, negative outside
 _DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
 _LEAST_POINTS = 20  # in a bin
-_MOST_POINTS = 400  # that lower the error of a bin: they are not independent
+_MOST_POINTS = 400  # largest count in the weight of a bin: points are not independent
 _LEAST_SPREAD_MM = 1e-4
-_STEPS = np.linspace(0.15, 1, 18)  # of the level, as the annulus becomes as wide as a window
+_STEPS = np.linspace(0.15, 1, 18)  # shares of `level` that are tried: it grows with the width of a narrow annulus
 _WIDEST = 3.0  # half windows, above which the width of the annulus does not matter
 
 
 class StuckBorder:
-    """What all frames say together about how displacement begins beside the stuck part, and the stuck part by it.
+    """Border of the stick region by a fit to all frames of a trial, and the stick region of each frame.
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
-    of slip, averaged over all frames by their distance from it, has a noise of a tenth of a micrometre, and where it
-    begins is fitted as it is seen (`models.partial_slip.border`). That gives the level which is seen at the border; the
-    stuck part of a frame is where displacement is below it.
+    of slip is averaged over all frames by their distance from the contour, which leaves a noise of a tenth of a
+    micrometre. The fit finds where this displacement begins, as it is measured (`models.partial_slip.border`). It gives
+    the level measured at the border; the stick region of a frame is where displacement is below it.
 
     Args:
         grid: of the contact.
-        half_window_mm: how far around itself a displacement looks.
-        seen: what it shows of a displacement that begins at a border.
-        clear: times the noise; where the level is below that, the contour there is looked for, and the border as far
-            inside of it as the fit says.
+        half_window_mm: half of the window over which a displacement is measured.
+        seen: measured displacement for one that begins at a border.
+        clear: multiple of the noise. Where the level is lower than that, the contour at this multiple is used, and the
+            border lies inside of it by the distance that the fit gives.
 
     Attributes:
-        fit: None where it was not to be had, `reason` says why; then the level is 0.02 mm.
-        level: mm, of a slipping annulus wider than a window.
+        fit: None where the fit failed; `reason` says why, and the level is 0.02 mm.
+        level: mm, for a slipping annulus wider than a window.
         noise: mm, standard deviation of the displacement of points that stick.
     """
 
@@ -58,11 +58,17 @@ class StuckBorder:
         self.fit: BorderFit | None = None
         self.level, self.noise, self.reason = FOLLOWED_MM, np.nan, ""
         self._base = np.zeros(2)
-        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # of the annulus, and the level for each
-        self._of_width = np.zeros(200)
+        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # of the annulus
+        self._of_width = np.zeros(200)  # level for each width
 
     def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
-        """A frame: displacement (N, 2) mm of the points, NaN where lost, and of the cells, and the contact's cells."""
+        """Add a frame.
+
+        Args:
+            moved: (N, 2) mm, displacement of the points, NaN where lost.
+            displacement: (rows, columns, 2) mm, of the cells.
+            region: (rows, columns) cells in contact.
+        """
         length = np.linalg.norm(moved, axis=-1)
         slipped = length > FOLLOWED_MM
         if slipped.sum() < _FEWEST_SLIPPED:
@@ -90,11 +96,11 @@ class StuckBorder:
 
     @property
     def followed(self) -> float:
-        """mm, displacement whose contour is looked for beside a wide annulus."""
+        """Return the displacement, mm, whose contour is used beside a wide annulus."""
         return float(np.fmax(self.level, self._above * self.noise))
 
     def settle(self) -> None:
-        """Fits what was gathered."""
+        """Fit the accumulated displacements."""
         if self._deep_count:
             self._base = self._deep_sum / self._deep_count
             self.noise = float(np.sqrt(self._deep_squares / self._deep_count))
@@ -118,7 +124,7 @@ class StuckBorder:
         self.level = level
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Fine places of the contact's cells that stick, by the displacement of the cells; arguments as of `gather`."""
+        """Return the fine mask of the contact's cells that stick; arguments as of `gather`."""
         contact = self._grid.fine_mask(region)
         inside = contact & self._grid.fine_mask(self._grid.known)
         length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
@@ -137,15 +143,17 @@ class StuckBorder:
         clear, beyond = self._clear(float(levels[first]), width)
         held = inside & (length < FOLLOWED_MM)
         slow = held & (component < clear)
-        # The low levels are those of a narrow annulus at the rim. What does not reach the rim is none: below the level
-        # of a wide one it is noise.
+        # The low levels are those of a narrow annulus at the rim. A hole that does not reach the rim is no annulus:
+        # below the level of a wide one it is noise.
         filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
         slow |= filled & held & (component < self.followed)
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
-        """mm, the displacement whose contour is looked for, and how far beyond the border it lies: the level at the
-        border itself, or more where noise asks for it, as far as the slipping annulus of this width goes.
+        """Return the displacement, mm, whose contour is used, and its distance, mm, beyond the border.
+
+        This is the level at the border itself, or a higher one where noise requires it, as far as it is reached in a
+        slipping annulus of this width.
         """
         assert self.fit is not None
         at = np.linspace(0, width / 2, 100)
@@ -157,13 +165,14 @@ class StuckBorder:
 
 
 class Length:
-    """Skin sticks that has moved by less than a length, against the glass at rest or against the skin that sticks.
+    """Criterion that skin sticks if it has moved by less than a length, against the glass at rest or the sticking skin.
 
     Args:
+        grid: of the contact.
         limit_mm: the length.
-        relative: against the best rigid motion of the points that stuck in the frame before, the first time of all in
-            contact. Then skin does not stick again that has come loose, and where fewer than three points stick
-            nothing does.
+        relative: relative to the best rigid motion of the points that stuck in the frame before, at first of all points
+            in contact. Skin that has come loose does not stick again, and where fewer than three points stick nothing
+            does.
     """
 
     def __init__(self, grid: SlipGrid, limit_mm: float, relative: bool) -> None:
@@ -171,7 +180,7 @@ class Length:
         self._held: Mask | None = None  # (N,) points that stuck so far
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """As `StuckBorder.stuck`."""
+        """Return the fine mask of sticking cells as `StuckBorder.stuck`."""
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
             return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
@@ -183,12 +192,12 @@ class Length:
         left = rigid_residual(torch.from_numpy(self._grid.points)[None], torch.from_numpy(moved)[None], weights)
         slipped = self._grid.displacement(left[0].numpy())
         length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
-        # Skin near the limit has slipped itself: it would take the motion of the glass along.
+        # Skin near the limit has slipped already and would bias the fitted motion of the glass.
         self._held = held & (self._grid.at_points(length) < _HELD_SHARE * self._limit)
         return np.asarray(contact & (length < self._limit))
 
 
 def _distance(mask: Mask) -> Field:
-    """Of every fine place from the edge of those in a mask, in fine places."""
+    """Return the distance of every fine position from the edge of a mask, in fine spacings."""
     found = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(found - 0.5, dtype=np.float32)

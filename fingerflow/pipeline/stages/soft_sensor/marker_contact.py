@@ -1,4 +1,4 @@
-"""Where an object touches a soft sensor: by the change of light, and by how far the markers have moved."""
+"""Contact region of a soft sensor, from the change of light and the displacement of markers."""
 
 import math
 
@@ -19,12 +19,12 @@ from fingerflow.pipeline.stages.trial.loading import LoadingStage
 from fingerflow.schema.variables import CONTACT
 
 CELL_PX = 4
-_LOOKS = 32  # frames of which the largest change of light sets the threshold
-_REST_FRAMES = 16  # that are averaged
-_HIDDEN = 2.2  # scales around the middle of a marker: its disc has 1.4, its blurred border the rest
-_LEAST_CHANGE = 0.03  # of light; the gel at rest changes by 0.01 through noise and compression
-_LEAST_MOVED = 0.05  # spacings; a gel that was let go creeps back by less
-# Under a uniform load on a circle the surface moves by 2/pi as much at its border as in its middle (Johnson 1985,
+_LOOKS = 32  # sampled frames; the one with the largest change of light sets the threshold
+_REST_FRAMES = 16  # averaged frames at rest
+_HIDDEN = 2.2  # masked radius around a marker, in scales: its disc has 1.4, its blurred border the rest
+_LEAST_CHANGE = 0.03  # relative change of light; at rest it is 0.01 through noise and compression
+_LEAST_MOVED = 0.05  # spacings; a released gel creeps back by less
+# Under a uniform load on a circle the displacement at its border is 2/pi of that in its centre (Johnson 1985,
 # section 3.4), whatever the gel's stiffness.
 _AT_BORDER = 2 / math.pi
 _WIDTH = 0.5  # spacings over which displacements are averaged
@@ -32,12 +32,12 @@ _LEAST_AREA = 0.25  # square spacings
 
 
 class MarkerContactStage(ContactStage):
-    """The gross contact of a soft sensor: the largest connected part of what has changed in light, or else has moved.
+    """Apparent (gross) contact of a soft sensor: largest connected region of changed light or of displacement.
 
-    Light changes where the gel's surface is tilted, brighter or darker, so that it counts either way: from half-way
-    between what changes and what does not (Otsu 1979) in the frame with the largest change. Where a flat or soft object
-    tilts nothing, the contact is what moves by at least 2/pi of the largest displacement, which reaches beyond the
-    object: of such a frame the area is a rough one. There are no micro-junctions to be seen: the real area is NaN.
+    Light becomes brighter or darker where the gel's surface is tilted; both count. The threshold is that of Otsu (1979)
+    in the sampled frame with the largest change. Where a flat or soft object tilts nothing, the contact is the region
+    that moves by at least 2/pi of the largest displacement. That region extends beyond the object, so the area of such
+    a frame is approximate. Micro-junctions are not visible: the real area is NaN.
     """
 
     name = "marker_contact"
@@ -67,7 +67,7 @@ class MarkerContactStage(ContactStage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def begin_as(self, other: "MarkerContactStage") -> None:
-        """With the light at rest, and the threshold, of another trial of the same recording."""
+        """Begin with the light at rest and the threshold of another run of the same recording."""
         self._follow()
         self._rest, self._least_change = other._rest, other._least_change
 
@@ -78,7 +78,7 @@ class MarkerContactStage(ContactStage):
         self._cells = np.stack(np.meshgrid(x, y), axis=-1)
 
     def step(self, batch: Batch) -> NDArray[np.bool_]:
-        """(n, h, w) cells in contact."""
+        """Return the cells (n, h, w) in contact."""
         assert batch.frames is not None
         view = self.inputs.view(batch.frames, self._view)
         change = self._change(view, batch.indices)
@@ -127,7 +127,10 @@ class MarkerContactStage(ContactStage):
         return max(threshold, _LEAST_CHANGE)
 
     def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """(n, 1, h, w) change of light beside the markers of then and of now; 0 where nothing else is seen."""
+        """Return the change of light (n, 1, h, w) in cells, with markers masked where they are now and at rest.
+
+        It is 0 in cells that show nothing but markers.
+        """
         hidden = torch.zeros(view.shape, dtype=torch.bool)
         for k, frame in enumerate(frames):
             for points in (self._markers.found[frame], self._markers.found[self._markers.rest_frame]):
@@ -137,7 +140,7 @@ class MarkerContactStage(ContactStage):
         return light_change(view, self._rest, hidden, CELL_PX, self._markers.look.scale).nan_to_num(0.0)
 
     def _moved(self, frame: int) -> NDArray[np.bool_]:
-        """(h, w) cells that have moved by enough."""
+        """Return the cells (h, w) whose displacement exceeds the threshold."""
         points = self._markers.points[frame]
         moved = points - self._markers.rest
         known = np.isfinite(moved).all(-1)

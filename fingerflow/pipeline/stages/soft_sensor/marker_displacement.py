@@ -1,4 +1,4 @@
-"""Displacement of each marker of a soft sensor from where it is when the gel is at rest."""
+"""Displacement of each marker of a soft sensor from its position with the gel at rest."""
 
 import numpy as np
 
@@ -14,9 +14,10 @@ _REST = {"reference_position": "position at rest", "displacement": "displacement
 
 
 class MarkerDisplacementStage(DisplacementStage):
-    """The gel is elastic and has a shape of its own: displacement counts from there, touched or not.
+    """Displacement of markers from the gel at rest, touched or not.
 
-    A marker that is not wholly in view at rest has a position and no displacement.
+    The gel is elastic and has a shape of its own. A marker that is not wholly in view at rest has a position but no
+    displacement.
     """
 
     name = "marker_displacement"

@@ -1,4 +1,4 @@
-"""Markers of a soft sensor as the points that are followed."""
+"""Markers of a soft sensor as tracked points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from fingerflow.schema.variables import TRACKING
 
 
 class MarkerTrackingStage(TrackingStage):
-    """What `MarkerStage` has found. A marker is found in each frame anew, so there is no way back to be tracked and no
-    distance after it.
+    """Tracking results from the markers of `MarkerStage`.
+
+    A marker is detected in each frame independently, so there is no forward-backward error.
     """
 
     name = "marker_tracking"
@@ -64,7 +65,7 @@ class MarkerTrackingStage(TrackingStage):
 
 
 def _inside(cells: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(N,) whether cells (h, w) in contact hold points (N, 2) px."""
+    """Return whether points (N, 2) px lie in the cells (h, w) that are in contact."""
     column, row = np.floor((points + 0.5) / CELL_PX).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < cells.shape[1]) & (row < cells.shape[0])
     result: NDArray[np.bool_] = inside & cells[np.where(inside, row, 0), np.where(inside, column, 0)]

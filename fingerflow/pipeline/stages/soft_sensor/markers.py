@@ -1,4 +1,4 @@
-"""The markers of a soft sensor: found in every frame, then followed from the gel at rest."""
+"""Markers of a soft sensor: detected in every frame, then tracked from the gel at rest."""
 
 import math
 from typing import NamedTuple
@@ -15,15 +15,15 @@ from fingerflow.ops.markers.markers import MarkerLook, detect_markers, measure_m
 from fingerflow.pipeline.stages.soft_sensor.rest import find_rest
 from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
 
-_LOOKS = 8  # frames in which the look of the markers is measured
-_GAUGE_SPACINGS = 3.0  # diameter within which a square lattice gives a marker eight neighbours
-_STEEPEST = 0.6  # median difference of displacement to the neighbours over their distance: beyond is another marker
-_SEEN_OFTEN = 3  # frames in which a marker is seen that none at rest is
-_SAME = 0.4  # spacings within which inferred places at rest are one marker's
+_LOOKS = 8  # sampled frames in which the appearance of the markers is measured
+_GAUGE_SPACINGS = 3.0  # diameter, in spacings, within which a marker of a square lattice has eight neighbours
+_STEEPEST = 0.6  # largest median displacement gradient to the neighbours; above, the match is another marker
+_SEEN_OFTEN = 3  # least frames in which a marker that is out of view at rest must be detected
+_SAME = 0.4  # spacings within which inferred rest positions belong to one marker
 
 
 class Seen(NamedTuple):
-    """Markers (M, ...) of one frame: px, px^2, and the disagreement of two scales, px."""
+    """Markers (M, ...) of one frame: positions px, covariance px^2, and disagreement of two scales, px."""
 
     points: Tensor
     covariance: Tensor
@@ -31,21 +31,22 @@ class Seen(NamedTuple):
 
 
 class MarkerStage(Stage):
-    """Finds markers in each frame by itself; when all are known, tells which is which, from the rest outwards.
+    """Detection of markers in each frame independently, followed by their matching to the frame at rest.
 
-    Markers are followed through lists of places alone: forwards and backwards in time from the frame at rest, which
-    need not be the first one.
+    Matching uses only lists of positions. It goes forward and backward in time from the frame at rest, which need not
+    be the first one.
 
     Attributes:
-        look: of the markers.
-        found: (M, 2) px of each frame, all markers that it shows, in no order.
-        rest_frame: in which the gel is at rest.
-        at_rest: (frames,) bool, those that look like it.
-        rest: (N, 2) px, places at rest; NaN of markers that the border cut or hid then.
+        look: appearance of the markers.
+        found: (M, 2) px for each frame, all detected markers, unordered.
+        rest_frame: frame in which the gel is at rest.
+        at_rest: (frames,) bool, frames that look like it.
+        rest: (N, 2) px, positions at rest; NaN for markers that are cut by the border or out of view at rest.
         spacing: of the markers, px.
-        points: (frames, N, 2) px, NaN where the status (frames, N) is not TRACKED.
+        points: (frames, N, 2) px, NaN where the status is not TRACKED.
         covariance: (frames, N, 2, 2) px^2.
-        disagreement: (frames, N) px between the places that two scales give.
+        disagreement: (frames, N) px between the positions that two scales give.
+        status: (frames, N) `TrackStatus`.
     """
 
     name = "markers"
@@ -75,7 +76,7 @@ class MarkerStage(Stage):
         self._limit = self.inputs.scene.tracking.forward_backward_limit_px
 
     def begin(self) -> None:
-        """Measures what markers look like; raises FingerflowError where no frame shows any."""
+        """Measure the appearance of the markers. Raises FingerflowError where no frame shows any."""
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         views = [self.inputs.view(self.inputs.recording[[int(k)]].read(), self._view) for k in looks]
@@ -94,18 +95,21 @@ class MarkerStage(Stage):
             self.take(self.see(frame))
 
     def see(self, frame: Tensor) -> Seen:
-        """The markers of a frame (1, 1, h, w) of the view, by themselves."""
+        """Return the markers detected in a frame (1, 1, h, w) of the view."""
         markers = detect_markers(frame, self.look)
         known = markers.points[0].isfinite().all(-1)
         parts = (markers.points, markers.covariance, markers.disagreement)
         return Seen(*(one[0, known].double().cpu() for one in parts))
 
     def take(self, seen: Seen) -> None:
-        """The markers of the next frame of the trial."""
+        """Append the markers of the next frame."""
         self._seen.append(seen)
 
     def finish(self) -> None:
-        """Finds the rest and follows the markers from there."""
+        """Find the frame at rest and match the markers from there.
+
+        Raises FingerflowError where fewer than 3 markers are detected in that frame.
+        """
         found = find_rest([seen.points.numpy() for seen in self._seen])
         self.rest_frame, self.at_rest = found.frame, found.alike
         reference = self._seen[self.rest_frame].points
@@ -131,7 +135,7 @@ class MarkerStage(Stage):
         self._seen.clear()
 
     def _follow(self, reference: Tensor, ties: Ties) -> Tensor:
-        """(frames, N) which of the markers seen in a frame each one is, -1 for none."""
+        """Return for each marker its index among the detected ones (frames, N), -1 for none."""
         numbers = torch.full((len(self._seen), len(reference)), -1)
         for frames in (range(self.rest_frame, len(self._seen)), range(self.rest_frame, -1, -1)):
             moved = torch.zeros_like(reference)
@@ -141,13 +145,13 @@ class MarkerStage(Stage):
                 seen = numbers[frame] >= 0
                 if seen.any():
                     moved[seen] = points[numbers[frame][seen]] - reference[seen]
-                    # One that is not seen goes with its neighbours.
+                    # An undetected marker moves with its nearest neighbour.
                     nearest = torch.cdist(reference[~seen], reference[seen]).argmin(1)
                     moved[~seen] = moved[seen][nearest]
         return numbers
 
     def _that_come_in(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """(K, 2) places at rest, inferred, of markers that are beyond the border then."""
+        """Return the inferred rest positions (K, 2) of markers that are out of view at rest."""
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
             mine = number[number >= 0]
@@ -158,7 +162,7 @@ class MarkerStage(Stage):
             moved = seen.points[mine] - reference[number >= 0]
             nearest = torch.cdist(seen.points[free], seen.points[mine])
             place = seen.points[free] - moved[nearest.argmin(1)]
-            # Not beside one that is known: that would be a second blob of it.
+            # Not close to a known marker: that would be a second detection of it.
             inferred.append(place[torch.cdist(place, reference).amin(1) > 2 * _SAME * spacing])
         places, kept = torch.cat(inferred) if inferred else reference[:0], []
         while len(places):
@@ -190,7 +194,7 @@ class MarkerStage(Stage):
         self.disagreement, self.status = disagreement.numpy(), status.numpy()
 
     def _cut(self, points: Tensor) -> Tensor:
-        """(N,) whether the border cuts a marker there: its middle is not seen then."""
+        """Return whether the border of the view cuts a marker at each position (N,), so that its centre is hidden."""
         height, width = self._view.shape
         size = torch.tensor([width - 1.0, height - 1.0], dtype=points.dtype)
         return torch.minimum(points, size - points).amin(-1) < self.look.radius
@@ -215,7 +219,7 @@ class MarkerStage(Stage):
 
 
 def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
-    """(N, 2) px where markers are expected that move like the nearest one that is seen."""
+    """Return the expected positions (N, 2) px of markers that move like the nearest detected one."""
     known = points.isfinite().all(-1)
     if not known.any():
         return reference
@@ -224,7 +228,7 @@ def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
 
 
 def _torn(moved: Tensor, ties: Ties) -> Tensor:
-    """(N,) whether a displacement (N, 2) departs from most neighbours' by more than a gel allows."""
+    """Return whether a displacement (N, 2) differs from those of most neighbours by more than a gel allows, (N,)."""
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

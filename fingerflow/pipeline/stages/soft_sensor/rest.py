@@ -1,4 +1,4 @@
-"""The frames in which a gel is at rest, from where its markers are in each."""
+"""Detection of the frames in which a gel is at rest, from the positions of its markers."""
 
 from typing import NamedTuple
 
@@ -6,30 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_LOOKS = 128  # frames that are compared with one another
-_STILL = 0.02  # spacings that markers at rest may differ by
-_MOST_OFF = 0.95  # of the markers do not
-_FEWEST_SHARE = 0.1  # of the frames that are compared: fewer are no state in which the gel stays
-_INNER = 0.3  # spacings between a marker and the middle of its four neighbours, below which it has them on all sides
-_FLATTER = 0.8  # of the unevenness of the state that most frames show
+_LOOKS = 128  # sampled frames, compared with one another
+_STILL = 0.02  # spacings; largest distance of corresponding markers in alike frames
+_MOST_OFF = 0.95  # share of the markers that must correspond
+_FEWEST_SHARE = 0.1  # of the sampled frames; fewer are no lasting state
+_INNER = 0.3  # spacings between a marker and the centroid of its four neighbours: below, it has them on all sides
+_FLATTER = 0.8  # relative to the unevenness of the most frequent state: below, another state is taken for rest
 
 Points = NDArray[np.float64]
 
 
 class Rest(NamedTuple):
-    """A frame at rest, and which frames (F,) look like it."""
+    """Frame at rest, and mask (F,) of the frames that look like it."""
 
     frame: int
     alike: NDArray[np.bool_]
 
 
 def find_rest(frames: list[Points]) -> Rest:
-    """The state in which the gel is at rest, of the places (M, 2) px of the markers in every frame.
+    """Return the frame at rest, from the positions (M, 2) px of the markers in every frame.
 
-    States are sets of frames whose markers are in the same places, to a fiftieth of their spacing; those in which the
-    gel stays for a tenth of the recording are compared. Rest is the one that most frames show, unless another one is
-    clearly more even: an object that is held bends a lattice. Evenness is the mean distance of markers from the middle
-    of their four nearest neighbours. Where none lasts, as in a recording that never rests, it is the largest there is.
+    States are sets of frames whose markers have the same positions, to a fiftieth of their spacing. Rest is the most
+    frequent state, unless another one that lasts for a tenth of the recording is clearly more even: an object that is
+    held bends the lattice. Evenness is measured by the mean distance of markers from the centroid of their four nearest
+    neighbours.
     """
     spacing = _spacing(frames)
     looks = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _LOOKS)).round().astype(int))
@@ -61,14 +61,14 @@ def _spacing(frames: list[Points]) -> float:
 
 
 def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
-    """Whether the markers are where those of another frame are, and as many."""
+    """Return whether most markers of two frames have the same positions and their numbers agree to 5 %."""
     if tree is None or not len(points) or abs(len(points) - tree.n) > (1 - _MOST_OFF) * max(len(points), tree.n):
         return False
     return bool(np.mean(tree.query(points)[0] < _STILL * spacing) >= _MOST_OFF)
 
 
 def _unevenness(points: Points, spacing: float) -> float:
-    """Mean distance, px, of markers from the middle of their four nearest neighbours."""
+    """Return the mean distance, px, of markers from the centroid of their four nearest neighbours."""
     if len(points) < 5:
         return 0.0
     number = cKDTree(points).query(points, k=5)[1][:, 1:]

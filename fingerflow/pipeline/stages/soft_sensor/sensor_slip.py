@@ -1,4 +1,4 @@
-"""Partial and gross slip of what touches a soft sensor, from the markers in the contact."""
+"""Partial and gross slip of an object on a soft sensor, from the markers in contact."""
 
 import numpy as np
 import torch
@@ -12,28 +12,28 @@ from fingerflow.pipeline.stages.stage import Stage, Trial
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.schema.variables import SENSOR_SLIP
 
-_FEWEST = 3  # markers by which a rigid motion can be told from another one
-_FITS = 4  # of which each gives what lies off the one before less weight
-_LET_GO = 1 / 3  # of the displacement in contact, lost in one frame
-_SHEARED = 0.1  # spacings of displacement, below which there is none to lose
-_TOGETHER = 0.75  # of the markers in contact, that go back
+_FEWEST = 3  # markers for the fit of a rigid motion
+_FITS = 4  # iterations of the reweighted fit
+_LET_GO = 1 / 3  # share of the mean displacement in contact lost in one frame
+_SHEARED = 0.1  # spacings; with a smaller mean displacement no loss is detected
+_TOGETHER = 0.75  # share of the markers in contact that move back
 
 Array = NDArray[np.float64]
 
 
 class SensorSlipStage(Stage):
-    """A share of the contact that has slipped, and a flag of gross slip.
+    """Share of the contact that has slipped, and flag of gross slip.
 
-    Where the object sticks, the gel under it moves with it as one rigid body. The share is that of the markers in
-    contact whose displacement since they were touched departs from the best rigid motion by more than [slip] stuck_mm;
-    the fit gives what is off it less weight, so that the stuck majority decides (Dong et al. 2019, "Maintaining grasps
-    within slipping bound by monitoring incipient slip", has the rigid fit). A gel that is pressed harder spreads, which
-    counts too.
+    Where the object sticks, the gel under it moves with it as a rigid body. The slip ratio is the share of the markers
+    in contact whose displacement since they were touched differs from the best rigid motion by more than
+    `slip.stuck_mm`. The fit reduces the weight of outliers, so that the sticking majority determines it (rigid fit
+    after Dong et al. 2019, "Maintaining grasps within slipping bound by monitoring incipient slip"). A gel that spreads
+    under a growing normal force counts as slip too.
 
     Gross slip is flagged where the gel springs back: from one frame to the next the markers that were in contact lose
-    at least a third of their mean displacement, most of them together. So the object slides, or lets go of the gel
-    while it is sheared, which markers alone cannot tell apart. The flag needs the frame before and none after. An
-    object that slides at a constant friction moves no marker: it is not seen.
+    at least a third of their mean displacement, most of them together. Then the object slides, or releases the gel
+    while it is sheared; markers alone cannot distinguish these. The flag needs the frame before, but none after. An
+    object that slides at constant friction moves no marker and is not detected.
     """
 
     name = "sensor_slip"
@@ -71,7 +71,7 @@ class SensorSlipStage(Stage):
         )
 
     def _departed(self, reference: torch.Tensor, moved: Array) -> float:
-        """Share of the markers whose displacement (N, 2) mm is not that of the rigid motion of most."""
+        """Return the share of markers whose displacement (N, 2) mm differs from the rigid motion of the majority."""
         known = np.isfinite(moved).all(-1)
         if known.sum() < _FEWEST:
             return float("nan")
@@ -83,7 +83,7 @@ class SensorSlipStage(Stage):
 
 
 def _springs_back(before: Array, now: Array, spacing: float) -> bool:
-    """Whether markers lose much of their displacement (N, 2) mm from one frame to the next."""
+    """Return whether markers lose much of their displacement (N, 2) mm from one frame to the next."""
     known = np.isfinite(before).all(-1) & np.isfinite(now).all(-1)
     if known.sum() < 2:
         return False

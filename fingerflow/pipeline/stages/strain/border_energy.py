@@ -1,7 +1,8 @@
-"""What the strain energy is uncertain by as the contact's border is, beside the errors of the points.
+"""Uncertainty of the strain energy by the uncertainty of the contact border, in addition to errors of points.
 
-Strain since the onset is largest along the border of a contact that grows: skin that has moved lies beside skin that
-just touches. A border that is off all around moves the onset of the outermost points, and which triangles count.
+Strain since the onset is largest along the border of a growing contact, where skin that has moved lies beside skin that
+has just come into contact. A border that is displaced all around changes the onset of the outermost points and the set
+of triangles that count.
 """
 
 import numpy as np
@@ -15,16 +16,16 @@ Values = NDArray[np.floating]
 def border_energy(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """(n,) mJ per mm of depth in a strip along the border, as wide as its place is uncertain by, in n frames.
+    """Return the energy (n,) per depth, mJ/mm, in a strip along the border as wide as the uncertainty of its position.
 
-    The strip has the mean density of the triangles that lie within `reach_mm` of the border; 0 where there is none.
+    The strip has the mean energy density of the triangles within `reach_mm` of the border; 0 where there are none.
 
     Args:
         density: (n, M) mJ/mm^3, NaN for triangles that do not count.
         areas: (M,) mm^2.
-        places: (n, M, 2) mm, of the triangles.
+        places: (n, M, 2) mm, centroids of the triangles.
         border: of these n frames.
-        reach_mm: a length.
+        reach_mm: width of the zone that is averaged.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(places) < reach_mm) & np.isfinite(density), areas, 0.0)

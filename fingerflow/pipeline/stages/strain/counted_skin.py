@@ -1,4 +1,4 @@
-"""Triangles of the skin, and from where and when the displacement of their corners counts."""
+"""Triangles of the skin, with the reference position and frame of their corners."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +12,20 @@ Points = NDArray[np.float64]
 
 
 class CountedSkin:
-    """Points by their own reference, and the corners of triangles apart.
+    """Points with their own reference, and separate corners for triangles whose points have different references.
 
-    Those are triangles with skin that moved into the contact, or whose shape by places of onset is not the skin's. Each
-    of their corners is a point of its own, which counts from the frame in which the last of the three has touched: so a
-    triangle has one reference, and no strain comes from the difference of two.
+    Separate corners belong to triangles with advected skin, or whose shape by positions of onset differs from that of
+    the skin. Each corner is then a point of its own, which counts from the frame in which the last of the three has
+    touched. So the triangle has one reference, and no strain comes from the difference of two.
 
     Attributes:
-        triangles: (M, 3) numbers of points; those of skin that moved in are the last.
-        corners: (M, 3) the same as numbers of the points here.
+        triangles: (M, 3) indices of points; those with advected skin are the last.
+        corners: (M, 3) the same as indices of the P points and corners here.
         begins: (M,) frame from which a triangle counts.
         since: (P,) frame from which a point counts.
-        reference: (P, 2) mm, position then; NaN for points of no triangle by their own reference.
-        places_px: (P, 2) px of the topographic view, the same.
+        reference: (P, 2) mm, position then; NaN for points that are in no triangle by their own reference, as advected
+            ones.
+        places_px: (P, 2) the same, px of the topographic view.
         noise: (P,) mm^2, as `DisplacementStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
         by_onsets: as there.
@@ -43,7 +44,7 @@ class CountedSkin:
                 np.concatenate([plain[apart], found.corners]), np.concatenate([begins[apart], found.begins])
             )
             plain, begins = plain[~apart], begins[~apart]
-        self._points, since = found.corners.flatten(), np.repeat(found.begins, 3)  # of the corners apart
+        self._points, since = found.corners.flatten(), np.repeat(found.begins, 3)  # of the separate corners
         own = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
         self.triangles = np.concatenate([plain, found.corners])
         self.corners = np.concatenate([plain, own])
@@ -65,7 +66,7 @@ class CountedSkin:
         stage = self._stage
         if not len(stage.entered):
             return EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
-        # Skin that came later may have left again: the last frame does not show all of it.
+        # Skin that came later may have left since: the last frame does not show all of it.
         some_later = stage.chosen_later.any()
         places = stage.places if some_later else self._position[slice(stage.last, stage.last + 1)][0]
         return entry_triangles(stage.entered, places, stage.onset)
@@ -73,9 +74,10 @@ class CountedSkin:
     def _collapsed(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
     ) -> NDArray[np.bool_]:
-        """Which triangles (M, 3) are, by the places of onset of their corners, shrunk or stretched in some direction by
-        more than a factor of `LEAST_AREA` against the skin in the frame in which the last of them touches: such a
-        border case, too, is a difference of two references.
+        """Return which triangles (M, 3) are distorted by the positions of onset of their corners.
+
+        Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
+        some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
         """
         touched = np.flatnonzero(begins < self._position.shape[0])
         corners = triangles[touched]
@@ -89,7 +91,7 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Displacement (n, P, 2) mm and its covariance (n, P, 2, 2) mm^2 in these frames (n,)."""
+        """Return displacement (n, P, 2) mm and its covariance (n, P, 2, 2) mm^2 in these frames (n,)."""
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):

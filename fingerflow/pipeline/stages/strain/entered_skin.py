@@ -11,8 +11,9 @@ Numbers = NDArray[np.integer]
 
 
 class EntryTriangles(NamedTuple):
-    """Triangles (M, 3) of points of which one at least was advected, and the frame (M,) from which each counts: in
-    which the last of its points has touched.
+    """Triangles (M, 3) with at least one advected point, and the frame (M,) from which each counts.
+
+    That is the frame in which the last of its points has touched.
     """
 
     corners: NDArray[np.int32]
@@ -20,14 +21,14 @@ class EntryTriangles(NamedTuple):
 
 
 def entry_triangles(entered: Numbers, places: Points, onset: Numbers) -> EntryTriangles:
-    """Delaunay triangles of points that have touched, by their ``places`` (N, 2) in a late frame."""
+    """Return the Delaunay triangles with advected points, by the ``places`` (N, 2) of points that have touched."""
     triangles = triangulate(np.where((onset >= 0)[:, None], places, np.nan))
     triangles = triangles[np.isin(triangles, entered).any(1)]
     return EntryTriangles(triangles, onset[triangles].max(1, initial=0).astype(np.int64))
 
 
 def triangulate(reference: Points) -> NDArray[np.int32]:
-    """Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
+    """Return Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
     finite = np.flatnonzero(np.isfinite(reference).all(-1))
     if len(finite) < 3:
         return np.zeros((0, 3), dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Strain of the triangles between points, and its energy."""
+"""Strain of the triangles between points, and strain energy."""
 
 from typing import Any
 
@@ -20,21 +20,20 @@ from fingerflow.pipeline.stages.trial.series import rate
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.border import Border
 
-# Correlation of displacements whose references are 0, 1, and 2 or more frames apart: of positions in a frame, and of
-# means of those in two frames, x + s (y - x) with s anywhere from 0 to 1, of variance 2/3.
+# Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
+# one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.
 _OF_FRAMES = np.array([1.0, 0.5, 0.5])
 _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 
 
 class StrainStage(Stage):
-    """Strain on the Delaunay triangles of the reference positions, and of skin that moved into the contact on its own
-    (`CountedSkin`).
+    """Strain on the Delaunay triangles of the reference positions; advected skin has its own triangles (`CountedSkin`).
 
-    The energy is that of the skin in contact: of triangles that have touched as a whole and of which two corners are in
-    the contact now, as skin that has left it keeps its strain. What the errors of the points add to it on average is
-    taken off. Skin between the outermost points and the border is in no triangle: on the simulated press, with 700
-    points, 5 % of the contact at the end and 10 to 17 % before. By formulas that skin has 16 % of the energy at the end
-    and a quarter to 40 % of it before, as strain since the onset is largest at a border that moves.
+    The energy is that of the skin in contact: of triangles that have touched as a whole and have two or more corners in
+    the contact now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted.
+    Skin between the outermost points and the border is in no triangle: on the simulated press, with 700 points, 5 % of
+    the contact at the end and 10 to 17 % before. By the formulas of that press, this skin has 16 % of the energy at the
+    end and a quarter to 40 % of it before, as strain since the onset is largest at a moving border.
     """
 
     name = "strain"
@@ -115,7 +114,10 @@ class StrainStage(Stage):
         self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu().numpy(), missing), of_border)
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(n, M, ...) of values (n, N, ...) at points; corner by corner, as sums over an axis of three take longer."""
+        """Return sums (n, M, ...) over the corners of triangles, of values (n, N, ...) at points.
+
+        Corners are added one by one, as sums over an axis of three take longer.
+        """
         first, *others = self._skin.triangles.T
         total: NDArray[Any] = values.take(first, axis=1)
         for corner in others:
@@ -124,7 +126,7 @@ class StrainStage(Stage):
 
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
-        # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
+        # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
         energy, deviation = (
             np.where(nothing, 0.0, self._settings.depth_mm * one) for one in (self._energy, self._energy_std)
@@ -138,13 +140,13 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """`SharedErrors` of the triangles.
+    """Return the `SharedErrors` of the triangles.
 
-    Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
-    in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
-    displacement's noise is that of its reference, which is another one where points count from other frames; with a
-    mean of two positions for the reference, anywhere between them, it is two fifths (`_OF_ONSETS`). Errors of the time
-    of onset are independent: of neighbours on a press they correlate by less than 0.1.
+    Tracking errors come from pixel noise in a window and correlate by the share that two windows have in common: on a
+    press correlations are 0.2, 0.4 and 0.6 to 0.75 where the share is a fifth, two fifths and two thirds. Half of a
+    displacement's noise is that of its reference, which differs where points count from different frames. If the
+    reference is a mean of two positions, anywhere between them, it is two fifths (`_OF_ONSETS`). Errors of the time of
+    onset are independent: those of neighbours on a press correlate by less than 0.1.
     """
     begins, places, triangles = skin.since, skin.places_px, skin.corners
     of_onset = np.trace(skin.of_onset, axis1=1, axis2=2) / 2

@@ -1,9 +1,9 @@
-"""Skin that comes into contact and holds no point, because it lay elsewhere when points were chosen.
+"""Detection of skin that comes into contact without points, as it lay outside the region in which points were seeded.
 
-Whether skin has had its chance is a question of material, not of density: a place x in a picture shows the skin that
-lay at X = x - u in the key frame of the nearest point, u the way of that point since; it is new where X lies outside
-the region in which points were looked for there. So skin without texture is not searched again and again, and a press,
-whose region is that of its largest contact, has no new skin.
+The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
+of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
+in which points were seeded there. So skin without texture is not searched repeatedly, and a press, whose region is that
+of its largest contact, has no new skin.
 """
 
 from typing import NamedTuple
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_STEP = 2  # cells: places are looked at so far apart
-_AHEAD = 2.0  # times the way since the last look, that skin is expected to go on: the next look is half as far
-_STRIDE = 0.25  # windows: upstream of the contact, places from which skin will come are looked at so far apart
+_STEP = 2  # cells between sampled positions
+_AHEAD = 2.0  # prediction, in displacements since the last call: until the next call but one
+_STRIDE = 0.25  # windows between samples upstream of the contact
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
@@ -24,10 +24,10 @@ class Known(NamedTuple):
     """Points in the present frame.
 
     Attributes:
-        place: (N, 2) px of the topography view, where a point is or is expected.
-        start: (N, 2) px, where it was in its key frame.
+        place: (N, 2) px of the topographic view, measured or expected position.
+        start: (N, 2) px, position in its key frame.
         tracked: (N,) bool.
-        choice: (N,) numbers of the `NewSkin.searched` regions that the points come from.
+        choice: (N,) indices of the `NewSkin.searched` regions in which the points were seeded.
     """
 
     place: Points
@@ -37,36 +37,37 @@ class Known(NamedTuple):
 
 
 class NewSkin:
-    """Looks for skin in contact, or about to be, that has no points.
+    """Detector of skin without points that is in contact or about to be.
 
     Args:
-        topography_to_contact: (2, 3) px to px.
-        cell_px: of the contact's cells.
-        window_px: of a point in the topography view: skin within half of it is seen by that point.
+        topography_to_contact: (2, 3) affine map, px to px.
+        cell_px: side of the contact's cells.
+        window_px: window of a point in the topographic view: the point covers skin within half of it.
     """
 
     def __init__(self, topography_to_contact: NDArray[np.float64], cell_px: int, window_px: int) -> None:
         self._matrix, self._cell, self._window = topography_to_contact, cell_px, window_px
         self._inverse = cv2.invertAffineTransform(topography_to_contact)
-        self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px a topography px
-        self.searched: list[Mask] = []  # regions (h, w) of the topography view in which points were looked for
-        self._before: tuple[Points, Points] | None = None  # places (N, 2) and the middle of the contact, a look ago
+        self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px per topographic px
+        self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
+        self._before: tuple[Points, Points] | None = None  # positions (N, 2) and centre of contact, at the last call
 
     def begin(self, contact: NDArray[np.floating], place: Points) -> None:
-        """Remembers where points (N, 2) px of the topography view were when they were chosen, with cells as `region`
-        has them: what moves fast has moved far by the first look.
+        """Store the positions (N, 2) px of the topographic view at which points were seeded.
+
+        `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
         touching = contact[::_STEP, ::_STEP] > 0
         if touching.any():
             self._before = self._on_contact(place), self._middle(touching)
 
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
-        """(h, w) of the topography view: where points are to be chosen in this frame, None where that is not needed.
+        """Return the mask (h, w) of the topographic view in which to seed points in this frame, or None.
 
-        They are needed where new skin is in contact, or will be before the next look but one if points and contact go
-        on as they did, farther from any point than half a window, over an area of a window or more. They are chosen in
-        all new skin that is in contact or lies upstream of it, within a window or as far as skin moves until the next
-        look but one: skin that is in contact when its points are chosen has no onset.
+        Points are needed where new skin is in contact, or will be before the next call but one if points and contact
+        keep their speeds. It must lie farther than half a window from any point, over an area of at least a window.
+        Points are then seeded in all new skin that is in contact or upstream of it, within a window or the distance
+        that skin moves until the next call but one: skin that is in contact when its points are seeded has no onset.
 
         Args:
             contact: (h', w') cells, positive in the gross contact.
@@ -78,7 +79,7 @@ class NewSkin:
         place = self._on_contact(known.place)  # px of the contact view from here on
         middle = self._middle(touching)
         before, self._before = self._before, (place, middle)
-        way = np.zeros_like(place)  # of points against the contact
+        way = np.zeros_like(place)  # displacement of points relative to the contact
         if before is not None:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
@@ -110,15 +111,15 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Cells, in a row, that touch or may be about to, and no point (N, 2) is within `far` of them.
+        """Return the flattened mask of cells that touch or may soon touch, with no point (N, 2) within `far`.
 
-        In a press there are hardly any: the nearest points are searched for these alone.
+        In a press there are hardly any. Nearest points are searched only for these cells.
         """
         side = self._cell * _STEP
         reach = int(_AHEAD * np.nanmax(np.abs(way), initial=0.0) / side) + 1
         window = np.ones((2 * min(reach, max(touching.shape)) + 1,) * 2, np.uint8)
         empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-        # Cells around that of each point that may be looked at within this distance of it.
+        # Cells around each point whose sampled position may lie within this distance of it.
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
         cell = np.floor((place + 0.5) / side).astype(int)
         column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
@@ -148,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Whether skin at (K, 2) px of the contact view lay outside the region where its nearest point was chosen."""
+        """Return whether skin at (K, 2) px of the contact view lay outside the seeding region of its nearest point."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -167,7 +168,7 @@ class NewSkin:
         return np.asarray(warped > 0)
 
     def _beside(self, place: Points) -> Mask:
-        """Px (h, w) that are nearer to a point than half the usual distance of points."""
+        """Return the mask (h, w) of px nearer to a point than half the median spacing of points."""
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
@@ -179,6 +180,6 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Px along an axis: the middle of the cell that stands for `_STEP` of them."""
+    """Return px along an axis of the centre of every `_STEP`-th cell."""
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

@@ -1,4 +1,4 @@
-"""Points of the skin through all frames of the topography view."""
+"""Tracking of skin points through all frames of the topographic view."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -25,19 +25,19 @@ from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.motion import PointMotion
 from fingerflow.tracker.points import Points, beside
 
-_SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
-MOST_CHOSEN = 3  # times `tracking.points`, of points that are chosen in a recording altogether
+_SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
+MOST_CHOSEN = 3  # times `tracking.points`: largest number of points seeded in a recording
 
 
 class TrackingStage(Stage):
-    """Follows points from frame to frame, in the order of time or against it.
+    """Tracking of points from frame to frame, forward or backward in time.
 
-    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
-    so far: errors do not add up. From frame to frame they do.
+    With key frames every frame is compared with the first one, whose template is deformed by the motion gradient found
+    so far: errors do not accumulate. With the previous frame as template they do.
 
-    Where skin comes into contact that lay outside the region of that choice (`NewSkin`), points are chosen there too,
-    in the last frame of a batch, which is their key frame; in the frames before they have the status NOT_CHOSEN_YET.
-    Of a press there are none.
+    Where skin comes into contact that lay outside the first seeding region (`NewSkin`), points are seeded in the last
+    frame of a batch, which is their key frame. In the frames before they have the status NOT_CHOSEN_YET. A press has no
+    such points.
     """
 
     name = "tracking"
@@ -61,12 +61,12 @@ class TrackingStage(Stage):
         self._engine = inputs.engine
         self._matrix = inputs.topography_to_contact.astype(np.float32)
         self._chosen: list[Points] = []
-        self._around: list[NDArray[np.intp]] = []  # numbers (A,) of the points before that each of these goes by
-        self._density = 0.0  # points a px of the region of the first choice
+        self._around: list[NDArray[np.intp]] = []  # of each set: indices (A,) of earlier points that guide it
+        self._density = 0.0  # points per px of the first seeding region
         self._new_skin: NewSkin | None = None
-        self._full = False  # whether no more points may be chosen
-        self._skipped: list[int] = []  # frames before the points were chosen
-        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: where to look for points
+        self._full = False  # True if no more points may be seeded
+        self._skipped: list[int] = []  # unusable frames before the first seeding
+        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: seeding region
         self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
 
     @classmethod
@@ -78,7 +78,7 @@ class TrackingStage(Stage):
         return self._settings.direction == "backward"
 
     def begin(self) -> None:
-        """Finds out where skin touches; where none does there is none to follow, which a warning says."""
+        """Find the contact region in which to seed points; warn where there is no contact, hence no points."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
@@ -93,7 +93,7 @@ class TrackingStage(Stage):
             self._create(0)
 
     def step(self, batch: Batch) -> Any:
-        """Tracks through these frames, in the order given; those that are not usable are passed over."""
+        """Track points through these frames, in the given order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
@@ -108,7 +108,7 @@ class TrackingStage(Stage):
                 self._pass_over(indices)
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Frames that tell nothing: points are expected on where their speed leads."""
+        """Skip unusable frames: the expected positions of points move on with their speed."""
         if not self._chosen:
             self._skipped.extend(indices)
             return
@@ -163,7 +163,7 @@ class TrackingStage(Stage):
                 self.results.create(variable.name, point=points)
 
     def _choose(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
-        """Seeds the points in the first frame."""
+        """Seed the points in the first frame."""
         where = self._where()
         points = self._engine.detect(self._view_for_choice(image), where, self._settings.points)
         if len(points) < 3:
@@ -185,7 +185,7 @@ class TrackingStage(Stage):
         return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
 
     def _add(self, points: Points, numbers: NDArray[np.intp]) -> FoundPoints:
-        """Follows points from now on, which go by those of these numbers; what is found (1, N) of them."""
+        """Add seeded points, guided by earlier points of indices `numbers`; return them (1, N) in this frame."""
         self._chosen.append(points)
         self._around.append(numbers)
         return points.as_seeded
@@ -194,7 +194,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _choose_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Points that are seeded in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
+        """Return points seeded in new skin of an image (1, 1, h, w), or None; `found` (1, N) holds the other points."""
         if self._full:
             return None
         assert self._new_skin is not None
@@ -221,7 +221,7 @@ class TrackingStage(Stage):
         return self._add(new, near)
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Lets the results grow; a warning says where they may not."""
+        """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
@@ -239,10 +239,12 @@ class TrackingStage(Stage):
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
-        """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
-        press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust.
+        """Return the picture in which Willemet et al. (2021, figure S3 B) seed points.
+
+        It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
+        others 0.0282, and as many lie on dust.
         """
-        # Loading kornia for it takes a third of a second.
+        # Imported here: loading kornia takes a third of a second.
         from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
 
         recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
@@ -251,9 +253,10 @@ class TrackingStage(Stage):
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
     def _where(self) -> NDArray[np.bool_]:
-        """(h, w) bool: the region that the scene draws in the topography view; or where in the first frame of a stream
-        skin is expected to touch: so both have the same points. Else, and of a stream's region where the last frame
-        comes first, all that touches at some time.
+        """Return the seeding region (h, w) bool.
+
+        That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
+        `stream.region`, so that a stream seeds the same points. Otherwise it is the contact region found by `begin`.
         """
         drawn = region_mask(self.inputs.scene, "topography")
         if drawn is not None:
@@ -274,7 +277,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, chosen: FoundPoints) -> FoundPoints:
-    """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
+    """Return points that are seeded (1, N) in the last of so many frames as values in all of these frames."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in chosen))
     for one in before[:3]:
         one[:-1] = np.nan

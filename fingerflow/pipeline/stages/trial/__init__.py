@@ -1,1 +1,1 @@
-"""What a recording is computed from, and which of its frames can be used."""
+"""Inputs of a recording, and detection of the frames that can be used."""

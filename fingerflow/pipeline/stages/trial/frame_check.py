@@ -1,4 +1,4 @@
-"""Which frames are pictures of the trial, before anything is measured in them."""
+"""Detection of unusable frames (dark, saturated, repeated, torn ...) before anything is measured in them."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import LONGEST, block_distances
 from fingerflow.tracker.frame_returns import REPEATED_SHARE, jumps_and_returns, repeats
 
-_AT_ONCE = 64  # frames whose distances are taken together: there are a few hundred numbers in each
+_AT_ONCE = 64  # frames whose distances are computed together
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
     _UNREADABLE: "frames that the recording cannot give whole",
@@ -26,13 +26,13 @@ _SAID = {
 
 
 class FrameCheckStage(Stage):
-    """Finds frames that cannot be by their own statistics, of some 20,000 pixels of each view.
+    """Detection of unusable frames by block means of some 20,000 pixels of the contact and topographic views each.
 
-    Such a frame is no part of any result: what depends on it is NaN, and what stands before and after it is as if it
-    had not been recorded.
+    An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
+    been recorded.
 
     Attributes:
-        usable: (frames,) bool; once it has finished.
+        usable: (frames,) bool; set when the stage has finished.
     """
 
     name = "frame_check"
@@ -51,8 +51,8 @@ class FrameCheckStage(Stage):
         self._status = np.zeros(len(trial), np.uint8)
         self._blocks: list[list[NDArray[np.float32]]] = [
             [] for _ in self._views
-        ]  # of frames that are yet to be compared,
-        self._compared = [0] * len(self._views)  # and of so many before them that were
+        ]  # block means of frames that wait for comparison,
+        self._compared = [0] * len(self._views)  # preceded by those of so many frames already compared
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
@@ -83,7 +83,7 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """The frames of a view that are yet to be, with those before them."""
+        """Compute distances of the waiting frames of a view to the frames before them."""
         blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
         self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]
@@ -94,7 +94,7 @@ class FrameCheckStage(Stage):
         self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
-        """Names what was found in warnings. Raises FingerflowError where no frame is usable."""
+        """Set the status of each frame and warn of unusable ones. Raises FingerflowError where no frame is usable."""
         status = self._status
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
@@ -105,7 +105,7 @@ class FrameCheckStage(Stage):
         for view in range(len(self._views)):
             self._compare(view)
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
-        self._distances, self._blocks = [], []  # more than all results hold of a frame without points
+        self._distances, self._blocks = [], []  # free memory: more than the results of a frame without points
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())
         if share <= REPEATED_SHARE:
@@ -137,7 +137,7 @@ class FrameCheckStage(Stage):
 
 
 def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Block means (n, rows, columns) of frames (n, H, W)."""
+    """Return block means (n, rows, columns) of frames (n, H, W)."""
     return block_means(frames)[0]
 
 

@@ -1,4 +1,4 @@
-"""What a trial is computed from, opened and checked: frames, background, forces, calibration."""
+"""Inputs of a run, opened and checked: recording, background, calibration and engine."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,16 +19,18 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View
 from fingerflow.tracker.points import RECORDING, Knowledge
 
-_REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
+_REFERENCE_FRAMES = 64  # averaged background frames, at most: their noise is an eighth of that of one frame
 
 
 @dataclass
 class Inputs:
-    """An opened scene on a device. Gradients are fitted over the gauge length.
+    """Opened scene on a device.
 
     Attributes:
+        times: (frames,) s of the selected frames, from the trigger frame where the scene names one.
         engine: computes contact, points and fields.
-        knowledge: of frames to come, that tracking has.
+        knowledge: what tracking may use of later frames.
+        gauge_length_mm: gauge length of the gradient fit, `fields.gauge_length_mm`; `MarkerStage` may increase it.
     """
 
     scene: Scene
@@ -45,7 +47,7 @@ class Inputs:
         self.gauge_length_mm = self.scene.fields.gauge_length_mm
 
     def with_scene(self, scene: Scene) -> "Inputs":
-        """The same files with the settings of another scene."""
+        """Return the same inputs with the settings of another scene, and engine "auto"."""
         return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
 
     @property
@@ -54,43 +56,44 @@ class Inputs:
 
     @property
     def topography_to_contact(self) -> NDArray[np.float64]:
-        """(2, 3), px of the topography view to px of the contact view."""
+        """Return the affine map (2, 3) from px of the topographic view to px of the contact view."""
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
 
     def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(..., 2) px of the topographic view to mm on the glass."""
+        """Return positions (..., 2) mm on the glass of positions (..., 2) px in the topographic view."""
         matrix = self.topography_to_contact
         result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
         return result
 
     def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) px in the topographic view of places (..., 2) mm on the glass."""
+        """Return positions (..., 2) px in the topographic view of positions (..., 2) mm on the glass."""
         matrix = self.topography_to_contact
         result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
         return result
 
     @property
     def topography_mm_per_px(self) -> float:
-        """Mean scale of the topographic view."""
+        """Return the mean scale of the topographic view, mm per px."""
         return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
 
     def tensor(self, values: NDArray[np.floating]) -> Tensor:
-        """In float32 on the device."""
+        """Return values as a float32 tensor on the device."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
-        memory of the frames. uint16 becomes int32, which torch can compute with.
+        """Return a view of frames (n, H, W) as a tensor (n, 1, h, w) on the device; it must not be written to.
+
+        8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
         return images_on(self.device, view.crop(frames))
 
     def reference(self, view: View) -> Tensor:
-        """The view without a finger, (1, 1, h, w) float32."""
+        """Return the background of a view, without a finger, (1, 1, h, w) float32."""
         assert self.scene.background.frames is not None
         return self._still(self.scene.background.frames, view)
 
     def dark(self, view: View) -> Tensor | None:
-        """The view without light, where it was recorded."""
+        """Return the dark frame of a view, (1, 1, h, w) float32, or None where none was recorded."""
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
@@ -123,10 +126,10 @@ class Inputs:
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
-    """Frames (n, H, W) of a part of a recording; raises FingerflowError where the system cannot read them."""
+    """Return frames (n, H, W) of a part of a recording. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()
-    except OSError as error:  # which a file of results that is being written would take for its own
+    except OSError as error:  # `written_atomically` would report it as an error of the output file
         raise FingerflowError(
             f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording again, or to a local "
             f"disk"
@@ -134,9 +137,9 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Opens the recording of a scene and checks that its views fit; engine and modules as for `engines.choice`.
+    """Open the recording of a scene and check that its views fit; engine and modules as for `engines.choice`.
 
-    Raises FingerflowError for what does not fit, with the value and the remedy.
+    Raises FingerflowError for what does not fit; the message gives the value and the remedy.
     """
     chosen = _device(device)
     settings = scene.recording
@@ -166,7 +169,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
                 f"{len(recording)} frames, 0 to {len(recording) - 1}"
             )
         times = times - times[settings.trigger_frame]
-    frame_asked(scene, times[settings.first_frame : end])  # what is wrong with it is said before anything is computed
+    frame_asked(scene, times[settings.first_frame : end])  # raises for a wrong reference before anything is computed
     recording = recording[settings.first_frame : end]
     for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:
@@ -208,7 +211,7 @@ def _device(name: str) -> torch.device:
 
 
 def _fits_a_byte(recording: Recording) -> bool | None:
-    """None where the grey levels are floating point, which may be of any depth: a mean of several frames."""
+    """Return True if grey levels have at most 8 bits; None for floating point (a mean of frames), of unknown depth."""
     return None if recording.bit_depth is None else recording.bit_depth <= 8
 
 

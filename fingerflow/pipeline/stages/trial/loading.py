@@ -14,21 +14,21 @@ from fingerflow.recordings.forces.newtons import Sensor, to_newtons
 from fingerflow.schema.scene import ForceSettings
 from fingerflow.schema.variables import LOADING
 
-_LEAST_OFFSET = 0.2  # N, of a sensor at rest that is worth a word
+_LEAST_OFFSET = 0.2  # N, smallest offset of a sensor at rest that is reported
 _OFFSET_SHARE = 0.05  # of the largest force
-_LEAST_TANGENTIAL = 0.05  # N, likewise, for a direction
+_LEAST_TANGENTIAL = 0.05  # N, below which a force has no direction
 _TANGENTIAL = ("tangential_force", "tangential_force_across")  # channels of one or two components
 _UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}  # as `open_forces` knows them
-_LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: a quotient by less says nothing
+_LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: below, T/N is dominated by noise
 Series = NDArray[np.float64]
 
 
 class LoadingStage(Stage):
-    """The forces of the scene, aligned to the trigger and low-passed to the frame rate.
+    """Forces of the scene, aligned to the trigger and low-passed to the frame rate.
 
     Attributes:
-        normal: (frames,) N, NaN where the force recording does not reach; None where the scene has no forces.
-        tangential: as `normal`; the length of two components.
+        normal: (frames,) N, NaN outside the force recording; None where the scene has no forces.
+        tangential: as `normal`; the magnitude where there are two components.
         direction: (frames,) rad, `tangential_direction`.
     """
 
@@ -70,7 +70,6 @@ class LoadingStage(Stage):
                 )
         forces = to_newtons(forces, _sensors(settings, tuple(names)), names)
         _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
-        # Forces are resampled in the order of time, whatever part of the recording was chosen.
         values = forces.resample(inputs.times)
         self.warnings.extend(forces.warnings)
         for name, column in names.items():
@@ -83,7 +82,7 @@ class LoadingStage(Stage):
         self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
-            # The length of filtered components: that of noisy ones would be the noise's where there is no force.
+            # Magnitude of filtered components: that of unfiltered ones is biased by noise where the force is near 0.
             self.tangential = np.hypot(x, y) if len(components) == 2 else x
             self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
 
@@ -108,7 +107,7 @@ class LoadingStage(Stage):
 
     @property
     def ratio(self) -> Series | None:
-        """(frames,) T/N; NaN where N is below 0.05 N, None without a tangential force."""
+        """Return T/N (frames,); NaN where N is at most 0.05 N, None without a normal or tangential force."""
         if self.normal is None or self.tangential is None:
             return None
         pressed = self.normal > _LEAST_NORMAL
@@ -116,14 +115,14 @@ class LoadingStage(Stage):
 
 
 def _channels(settings: ForceSettings) -> dict[str, str | int]:
-    """The columns of the file by the forces that they are."""
+    """Return the columns of the force file by the names of the forces."""
     tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
     named = [column for column in tangential if column is not None]
     return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}
 
 
 def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
-    """How each of these forces is read."""
+    """Return gain, sign, offset and tare of each force channel."""
 
     def of(given: float | tuple[float, ...] | None, number: int) -> float | None:
         return given[number] if isinstance(given, tuple) else given
@@ -135,9 +134,9 @@ def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sens
 
 
 def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> None:
-    """Whether channels are forces of a finger that presses: in N, positive, and 0 where it `rests` beside the glass.
+    """Check that the forces are those of a pressing finger: in N, positive, and 0 where it `rests` beside the glass.
 
-    Raises FingerflowError for a normal force with the wrong sign; warns of an offset.
+    Raises FingerflowError for a normal force with the wrong sign; warns of an offset and of a trigger channel in N.
     """
     if forces.trigger is not None and forces.units[forces.trigger] == "N":
         forces.warnings.append(
@@ -147,7 +146,7 @@ def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bo
     normal = normal[np.isfinite(normal)]
     if not normal.size:
         return
-    # A hundredth at either end may be noise or a blow.
+    # Quantiles: the outer hundredth at either end may be noise or a shock.
     lowest, highest = np.quantile(normal, (0.01, 0.99))
     if -lowest > max(_LEAST_OFFSET, 3 * highest):
         raise FingerflowError(

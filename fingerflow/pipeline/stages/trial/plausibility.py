@@ -1,17 +1,17 @@
-"""Results and settings that cannot be right together, in words: warnings, with the way out."""
+"""Plausibility checks of results and settings: warnings with a remedy."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-_NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # a view of skin: a few ridges, a hand
-_JUMP = 0.25  # of the view: no contact grows by as much from one frame to the next
-_FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points
-_POINTS_IN_GAUGE = 3.0  # diameters of a point's own area, below which a fit has hardly a neighbour
+_NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # width of a view of skin: from a few ridges to a hand
+_JUMP = 0.25  # share of the view's area: no contact grows by as much from one frame to the next
+_FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points, below which a warning is given
+_POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
 Series = NDArray[np.float64]
 
 
 def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
-    """Of the contact view (rows, columns) at this scale."""
+    """Return warnings for the scale of a contact view of (rows, columns) px."""
     wide = mm_per_px * shape[1]
     if _NARROWEST_MM <= wide <= _WIDEST_MM:
         return []
@@ -22,14 +22,17 @@ def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
 
 
 def of_frames(frames: int) -> list[str]:
-    """Of the number of frames that count."""
+    """Return a warning if only one frame is selected."""
     if frames > 1:
         return []
     return ["one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"]
 
 
 def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
-    """Of real and gross areas (frames,) and that of the view, mm^2, NaN where a frame is not usable."""
+    """Return warnings for real and gross contact areas (frames,), mm^2, NaN in unusable frames.
+
+    `view_area` is the area of the view, mm^2.
+    """
     said = []
     more = np.flatnonzero((real > gross) & (gross > 0))
     if len(more):
@@ -53,10 +56,10 @@ def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, firs
 
 
 def of_points(found: int, asked: int, min_distance_px: float, region_px: int) -> list[str]:
-    """Of the number of points that were chosen in a region of so many pixels."""
+    """Return a warning if far fewer points were found than requested, in a region of `region_px` pixels."""
     if found >= _FEW_FOUND * asked:
         return []
-    # A square of this side around each point has no stronger corner; half of it may be a neighbour's.
+    # Upper bound of the number of points: one in each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
     if room < asked:
         why = (
@@ -72,7 +75,7 @@ def of_points(found: int, asked: int, min_distance_px: float, region_px: int) ->
 
 
 def of_tracking(share: Series, first_frame: int) -> list[str]:
-    """Of the share of points that are tracked (frames,), NaN where there is none."""
+    """Return a warning for frames with a low share of tracked points (frames,); NaN where there are no points."""
     few = np.flatnonzero(share < _FEW_TRACKED)
     if not len(few):
         return []
@@ -83,7 +86,10 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
 
 
 def of_windows(share: Series, first_frame: int) -> list[str]:
-    """Of the share of points whose window is no longer the one that was chosen (frames,), NaN where there is none."""
+    """Return a warning for points whose window differs from the reference window.
+
+    `share` (frames,) is their share of the points, NaN without points.
+    """
     some = np.flatnonzero(share > 0)
     if not len(some):
         return []
@@ -95,7 +101,9 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
 
 
 def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
-    """Of the gauge length, the points (N, 2) mm where they touched first, NaN for those that never did, and the least
+    """Return warnings for a gauge length that does not fit the point spacing or the contact.
+
+    `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
     diameter of the largest contact.
     """
     known = points[np.isfinite(points).all(1)]

@@ -1,4 +1,4 @@
-"""From when displacement counts: [fields] reference of a scene, as a frame."""
+"""Reference frame of displacement: `fields.reference` of a scene, resolved to a frame."""
 
 from typing import NamedTuple
 
@@ -18,10 +18,10 @@ _ONSET = (
 
 
 class Reference(NamedTuple):
-    """What displacement counts from.
+    """Reference of displacement.
 
     Attributes:
-        frame: counted from 0 among the frames that count; None for each point's own onset.
+        frame: counted from 0 at the first selected frame; None for each point's own onset.
         definition: in words, for attributes and reports.
     """
 
@@ -29,15 +29,19 @@ class Reference(NamedTuple):
     definition: str
 
     def attributes(self, first_frame: int) -> dict[str, str | int]:
-        """Of a variable that depends on it; `reference_frame` is a number as in the file, left out for onsets."""
+        """Return the attributes of a variable that depends on the reference.
+
+        `reference_frame` is the frame number in the file; it is left out for onsets.
+        """
         frame = {} if self.frame is None else {"reference_frame": self.frame + first_frame}
         return {"reference": self.definition, **frame}
 
 
 def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
-    """The frame that a number or a time means, from 0 among those that count, at `times` (frames,) s; None for words.
+    """Return the frame that `fields.reference` names by a number or a time, or None for a word.
 
-    Raises FingerflowError for what is not among them.
+    Frames count from 0 at the first selected frame; `times` (frames,) s. Raises FingerflowError for a frame outside the
+    selection.
     """
     asked, first = scene.fields.reference, scene.recording.first_frame
     seconds = seconds_of(asked)
@@ -62,9 +66,9 @@ def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
 def reference_of(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
 ) -> Reference:
-    """Of a scene whose frames are at `times` (frames,) s and have a `status` of FRAME_STATUS.
+    """Return the reference of a scene whose frames have `times` (frames,) s and a `status` of FRAME_STATUS.
 
-    Raises FingerflowError for a frame that is not there or cannot be measured.
+    Raises FingerflowError for a frame outside the selection or an unusable one.
     """
     asked, first = scene.fields.reference, scene.recording.first_frame
     if asked == "onset":

@@ -1,4 +1,4 @@
-"""The regions that a scene draws in its views, as masks."""
+"""Masks of the regions of interest that a scene defines in its views."""
 
 from dataclasses import asdict
 
@@ -10,13 +10,13 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene import Scene
 
-_VALUES = 1  # grey level of a mask's picture from which on a pixel belongs to the region
+_VALUES = 1  # least grey level of a mask image at which a pixel belongs to the region
 
 
 def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
-    """(h, w) of a view, True in its region; None where the scene draws none there.
+    """Return the mask (h, w) of a view, True in its region; None where the scene defines none.
 
-    Raises FingerflowError for a region without a pixel of the view, and for a picture that cannot be read or is of
+    Raises FingerflowError for a region without a pixel of the view, and for a mask image that cannot be read or has
     another size.
     """
     view = scene.views[name]

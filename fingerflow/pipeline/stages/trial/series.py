@@ -1,14 +1,14 @@
-"""Medians and rates of what stands beside the frames."""
+"""Medians and time derivatives of series."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Medians (F, ...) over the second axis of values (F, N, ...), of what is not NaN; NaN where nothing is."""
+    """Return medians (F, ...) over the second axis of values (F, N, ...), ignoring NaN; NaN where all are NaN."""
     if values.shape[1] == 0:
         return np.full((len(values), *values.shape[2:]), np.nan)
-    # In lines, as sorting and counting are twice as fast there.
+    # Contiguous along the sorted axis: sorting and counting are then twice as fast.
     ordered = np.array(np.moveaxis(values, 1, -1), order="C")
     ordered.sort(axis=-1)  # NaN last
     known = (~np.isnan(ordered)).sum(-1)
@@ -19,17 +19,18 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
 def _middle(
     ordered: NDArray[np.floating], first: NDArray[np.integer], known: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Medians of runs of so many `known` numbers in order, from places `first` on."""
-    last = len(ordered) - 1  # beyond it lie runs of none
+    """Return medians of sorted runs in `ordered`: run i starts at `first[i]` and has `known[i]` numbers."""
+    last = len(ordered) - 1  # an empty run may start beyond it
     low, high = (ordered[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
     result: NDArray[np.float64] = np.where(known > 0, (low + high) / 2, np.nan).astype(np.float64)
     return result
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:
-    """Time derivative (F, ...) per second: the slope of a parabola fitted over ``window_s`` (Savitzky & Golay 1964).
+    """Return the time derivative (F, ...) per second: the slope of a fitted parabola (Savitzky & Golay 1964).
 
-    Each run of finite values is differentiated by itself; a run shorter than the window gives NaN.
+    The parabola is fitted over ``window_s``. Each run of finite values is differentiated by itself; a run shorter than
+    the window gives NaN.
     """
     step = float(np.median(np.diff(times))) if len(times) > 1 else np.nan
     length = max(3, 2 * round(window_s / step / 2) + 1) if np.isfinite(step) else 3
@@ -45,9 +46,10 @@ def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: floa
 
 
 def _slopes(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
-    """(n,) slopes, per step, of parabolas over 2 half + 1 values; those of the first and last one serve the ends.
+    """Return slopes (n,) per step of parabolas fitted over 2 half + 1 values.
 
-    `scipy.signal.savgol_filter(values, 2 * half + 1, 2, deriv=1)`: loading that module takes half a second.
+    The first and last parabola give the slopes at the ends, as in `scipy.signal.savgol_filter(values, 2 * half + 1, 2,
+    deriv=1)`, whose import takes half a second.
     """
     at = np.arange(-half, half + 1.0)
     bend = at**2 - (at**2).mean()  # orthogonal to the line and to the constant
