@@ -1,4 +1,10 @@
-// The region that a mask spans, as fingerflow/ops/contact/apparent_contact.py has it: planes of cells of one frame stay in a cache.
+// Apparent (gross) contact region of a mask, on cells of `side` px (fingerflow/ops/contact/apparent_contact.py).
+// The density of a cell is the share of its pixels that are set, smoothed by three box means of 2 radius + 1 px along
+// each axis. A cell belongs to the region with part = clamp((density - limit) / |grad density| + 1/2, 0, 1); `limit` is
+// iterated from the share of set pixels within the region. The density margin is density - limit at the component,
+// +limit in its holes, -limit elsewhere; area, centre and semi-axes follow from the moments of the parts.
+// Layout: planes of floats, one value a cell, row after row, with a margin of zeros on all sides and rows that begin at
+// whole vectors. All planes of one frame lie in the thread's workspace, so that they stay in a cache.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -37,7 +43,7 @@ public:
         auto* const memory = static_cast<unsigned char*>(workspace(static_cast<std::size_t>(line + 4 * (6 * all + outline + 2 * plane_.pitch))));
         const std::int64_t origin = plane_.margin * plane_.pitch + left_;
         auto* const planes = reinterpret_cast<float*>(memory + line);
-        // Zeros around these and the lines, and where nothing is written.
+        // These planes and the lines are zero in their margins and wherever nothing is written.
         density_ = planes + origin;
         own_ = planes + all + origin;
         other_ = planes + 2 * all + origin;
@@ -68,7 +74,7 @@ public:
         measure(coverage, covered);
     }
 
-    // Up to whole vectors.
+    // Rounds up to whole vectors.
     static std::int64_t whole(std::int64_t count) { return cells_of(count, kCellLanes) * kCellLanes; }
     static std::int64_t cells_of(std::int64_t pixels, std::int64_t side) { return (pixels + side - 1) / side; }
 
@@ -79,7 +85,7 @@ private:
         return clamped(static_cast<float>(share.covered / pixels), kLeastShare, 1.0f);
     }
 
-    // The part around the densest place, by blocks, and what it encloses.
+    // Finds the component around the densest cell, by flood fill over blocks of cells, and fills its outline.
     void fill(float limit) {
         const std::int64_t down = cells_of(plane_.height, kCellBlock), across = cells_of(plane_.width, kCellBlock);
         std::vector<float> densest(static_cast<std::size_t>(down * across));
@@ -158,7 +164,7 @@ private:
     float *margin_, *numbers_;
     const float width_;
     CellPlane plane_;
-    std::int64_t left_;  // numbers before the first of a row
+    std::int64_t left_;  // floats before the first cell of a row
     float *density_, *own_, *other_, *filled_, *counts_, *inverse_, *line_, *among_;
     Outline outline_;
 };

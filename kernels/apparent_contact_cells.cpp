@@ -1,5 +1,8 @@
 // build: each instruction set, fused
-// Sums of few neighbours, row by row, which the compiler makes vectors of.
+// Row loops of apparent_contact.cpp: counts, box means, inverse slopes 1 / |grad density|, parts of cells, outline,
+// filling and moments. part = clamp((density - limit) / |grad density| + 1/2, 0, 1).
+// Layout: a CellPlane is row-major with `pitch` floats a row; a lane holds one cell, neighbours of a row lie in
+// neighbouring lanes. Loops run over whole vectors, since cells behind the last of a row are zero.
 #include "apparent_contact_cells.h"
 
 #include <math.h>
@@ -12,7 +15,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-constexpr std::int64_t kBand = 16;  // rows over which sums of floats lose nothing
+constexpr std::int64_t kBand = 16;  // rows after which float sums are added to a double: up to there they are exact for counts
 
 template <class Word>
 void add_bytes(const unsigned char* FINGERFLOW_RESTRICT line, std::int64_t cells, float* FINGERFLOW_RESTRICT counts) {
@@ -26,7 +29,7 @@ void add_bytes(const unsigned char* FINGERFLOW_RESTRICT line, std::int64_t cells
     }
 }
 
-// One box mean: numbers `step` apart, `reach` to both sides in whole and the next in part.
+// One box mean of values `step` apart: `reach` values on both sides with weight 1, the next one with weight `part`.
 void box_row(const float* FINGERFLOW_RESTRICT from, std::int64_t step, std::int64_t reach, float part, float scale,
              std::int64_t width, float* FINGERFLOW_RESTRICT to) {
     if (reach == 1) {
@@ -42,18 +45,18 @@ void box_row(const float* FINGERFLOW_RESTRICT from, std::int64_t step, std::int6
     for (std::int64_t x = 0; x < width; ++x) to[x] *= scale;
 }
 
-// The columns, up to whole vectors.
+// The columns, rounded up to whole vectors.
 std::int64_t whole(const CellPlane& plane) { return (plane.width + kCellLanes - 1) / kCellLanes * kCellLanes; }
 
 Floats part_of(Floats density, Floats inverse, float limit) {
     return lesser(positive((density - limit) * inverse + 0.5f), all(1));
 }
 
-// Sums of vectors, as doubles before rounding counts.
+// A sum of vectors, moved to a double every kBand rows, before float rounding matters.
 class Sum {
 public:
     void add(Floats values) { floats_ = floats_ + values; }
-    // Behind each row.
+    // To be called after each row.
     void row(std::int64_t y) {
         if (y % kBand == kBand - 1) settle();
     }
@@ -122,7 +125,7 @@ double scale_cells(const CellPlane& plane, const float* counts, float factor, fl
 }
 
 void smooth_cells(const CellPlane& plane, float width, float* cells, float* other) {
-    // In whole up to `reach`, the next in part.
+    // A box of fractional width: weight 1 up to `reach`, weight `part` for the next cell.
     const float half = (width + 1) / 2;
     const auto reach = static_cast<std::int64_t>(half - 1);
     const float part = half - 1 - static_cast<float>(reach), scale = 1 / width;
@@ -226,7 +229,7 @@ void extend_outline(const CellPlane& plane, std::int64_t y, const float* density
 void fill_row(const CellPlane& plane, std::int64_t y, const Outline& outline, float* FINGERFLOW_RESTRICT filled) {
     const float down = static_cast<float>(y + 1), up = static_cast<float>(plane.height - y);
     const float *FINGERFLOW_RESTRICT lowest = outline.down, *FINGERFLOW_RESTRICT highest = outline.up;
-    // From the first cell of the row to its last.
+    // From the first outlined cell of the row to the last.
     const auto end = static_cast<std::int64_t>(outline.right[y]);
     for (std::int64_t x = plane.width - static_cast<std::int64_t>(outline.left[y]); x < end; ++x)
         filled[x] = (down <= lowest[x]) & (up <= highest[x]) ? 1.0f : 0.0f;

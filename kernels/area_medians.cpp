@@ -1,4 +1,10 @@
-// Medians over ellipses of the current picture: fits at positions spread over the ellipse, and the middle of their fields.
+// Medians over an ellipse of divergence, curl, exx, eyy and exy (fingerflow/ops/fields/area_medians.py).
+// At each position of a lattice in the ellipse a plane is fitted to the displacements around it, with weights
+// (1 - r^2 / radius^2)^2; the fields follow from its gradient, and the median of each field is the result. Its standard
+// deviation is sqrt(sum_k s_k' C_k s_k), with the sensitivity s_k of the median to point k of covariance C_k.
+// Layout: coordinates are in radii from the ellipse's centre, in the current configuration. Points are sorted into
+// cells, as arrays x, y, u, v; positions go in blocks of kAreaBlock, one a lane, each block with its own copy of the
+// points within a radius.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,17 +18,17 @@
 namespace fingerflow {
 namespace {
 
-constexpr std::int64_t kNumbers = 5;  // of a point of a block
+constexpr std::int64_t kNumbers = 5;  // copied for each point of a block: x, y, u, v and its index
 
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
-// How far a distance reaches beyond a half width, or 0.
+// max(|distance| - half, 0) without a branch.
 float beyond(float distance, float half) {
     const float outside = std::fabs(distance) - half;
     return (outside + std::fabs(outside)) / 2;
 }
 
-// The median of numbers, at least one, whose order is lost.
+// The median of at least one number; reorders them.
 float median(std::vector<float>& numbers) {
     const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
     std::nth_element(numbers.begin(), middle, numbers.end());
@@ -80,15 +86,15 @@ private:
         AreaFits fits;
         int positions;
         AreaPoints points;
-        std::int64_t apart[kAreaBlock];  // the point apart whose fields a position has, or -1
+        std::int64_t apart[kAreaBlock];  // index of the point with fields of its own that a position takes, or -1
     };
     struct Place {
         float x, y;
         std::int64_t number;
     };
 
-    // Usable points, without the mean of their displacement, in cells of half a radius around the ellipse; and those
-    // apart whose fields are known.
+    // Sorts the usable points around the ellipse into cells of half a radius, with the mean displacement subtracted,
+    // and lists the points with fields of their own that are known.
     void sort_points() {
         const std::int64_t count = given_.point_count;
         std::vector<std::int64_t> usable;
@@ -151,7 +157,7 @@ private:
         }
     }
 
-    // Of a point now, in radii from the middle of the ellipse, by axis.
+    // Current coordinate of a point along an axis, in radii from the ellipse's centre.
     float place(std::int64_t k, int axis) const {
         return (reference_[2 * k + axis] + displacement_[2 * k + axis] - ellipse_[axis]) / settings_.radius;
     }
@@ -167,7 +173,7 @@ private:
         const float along = ellipse_[2] / settings_.radius, across = ellipse_[3] / settings_.radius;
         const float cosine = ellipse_[4], sine = ellipse_[5];
         blocks_.resize(size((given_.positions + kAreaBlock - 1) / kAreaBlock));
-        // Room for all points in each block: what is not needed is not touched.
+        // Each block reserves space for all points; pages that stay unused are never touched.
         const auto room = static_cast<std::int64_t>(number_.size());
         auto* const memory = static_cast<float*>(workspace(blocks_.size() * kNumbers * number_.size() * sizeof(float)));
         std::int64_t first = 0;
@@ -192,11 +198,12 @@ private:
         }
     }
 
-    // Positions whose nearest point is one of those apart have its fields, or none where it is too far.
+    // Gives a position the fields of its nearest point where that point has fields of its own; unknown where it is too
+    // far.
     void take_apart(Block& block) const {
         const auto far = static_cast<float>(given_.same_place * given_.same_place);
         float others[kAreaBlock], nearest[kAreaBlock];
-        std::fill_n(others, kAreaBlock, 1.0f);  // what is farther away is nobody's
+        std::fill_n(others, kAreaBlock, 1.0f);  // points farther than a radius are not considered
         std::fill_n(nearest, kAreaBlock, 1.0f);
         for (std::int64_t k = 0; k < block.points.count; ++k)
             for (int q = 0; q < kAreaBlock; ++q) {
@@ -221,7 +228,7 @@ private:
         }
     }
 
-    // The points within a radius of a box, copied to memory with room for all of them.
+    // Copies the points within a radius of a box to `memory`, which has space for all of them.
     AreaPoints near(float low_x, float low_y, float high_x, float high_y, float* memory) const {
         const auto room = static_cast<std::int64_t>(number_.size());
         float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room;
@@ -233,7 +240,7 @@ private:
         for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
             const std::int64_t end = starts_[size(row * columns_ + right + 1)];
             for (std::int64_t k = starts_[size(row * columns_ + left)]; k < end; ++k) {
-                // Written in any case, kept where it is near: a jump would be guessed wrong half the time.
+                // Written always, kept if near: a branch would be mispredicted half the time.
                 x[count] = x_[size(k)];
                 y[count] = y_[size(k)];
                 u[count] = u_[size(k)];
@@ -246,13 +253,13 @@ private:
         return {x, y, u, v, number, count};
     }
 
-    // Standard deviations: the points' shares in the error of each median, with their covariances.
+    // Standard deviations of the medians, from the points' covariances and the medians' sensitivities to them.
     void deviate() {
         std::copy(medians_, medians_ + kAreaFields, beside_.median);
         beside_.reach = static_cast<float>(given_.reach);
         beside_.even = static_cast<float>(given_.even);
         float total[kAreaFields] = {};
-        double joint[kAreaFields] = {};  // of points apart: their errors are taken for one and the same
+        double joint[kAreaFields] = {};  // of points with fields of their own, whose errors are taken as fully correlated
         for (Block& block : blocks_)
             for (int q = 0; q < block.positions; ++q)
                 if (block.apart[q] >= 0 && block.fits.known[q] > 0) {

@@ -1,4 +1,9 @@
 // build: each instruction set, fused
+// Fits at kAreaBlock positions of an ellipse at once, and their sensitivities (area_medians.cpp).
+// Weighted least squares with w = (1 - r^2)^2 give the gradient G of the displacement by current position. The
+// displacement gradient is H = G (I - G)^-1; the fields are its divergence, curl and strain.
+// Layout: one position a lane, arrays [quantity][kAreaBlock]; points are arrays x, y, u, v that all lanes share.
+// Sensitivities of a point are kAreaShares floats, two components a field.
 #include "area_medians_block.h"
 
 #include <math.h>
@@ -10,7 +15,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-constexpr int kSums = 13;  // points, w, w times x, y, xx, xy, yy, u, v, ux, uy, vx, vy, with x and y from the position
+constexpr int kSums = 13;  // count, w, w times x, y, xx, xy, yy, u, v, ux, uy, vx, vy, with x and y relative to the position
 
 void sum(const AreaPoints& points, const AreaFits& fits, float (&to)[kSums][kAreaBlock]) {
     for (int first = 0; first < kAreaBlock; first += kFloats) {
@@ -63,7 +68,7 @@ void sensitivity(std::int64_t measure, const float (&gradient)[4][kAreaBlock],
     }
 }
 
-// Weight of each point at a place times its distance from a centroid, (count) each.
+// Weight of each point at a position times its offset from the centroid, (count) each.
 void moments(const AreaPoints& points, float x, float y, float center_x, float center_y,
              float* FINGERFLOW_RESTRICT along_x, float* FINGERFLOW_RESTRICT along_y) {
     const float *const point_x = points.x, *const point_y = points.y;
@@ -97,7 +102,7 @@ void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& 
         const float a = yy * scale, b = -xy * scale, d = xx * scale;
         const float gxx = (ux * a + uy * b) * per_length, gxy = (ux * b + uy * d) * per_length;
         const float gyx = (vx * a + vy * b) * per_length, gyy = (vx * b + vy * d) * per_length;
-        // G (I - G)^-1 = (I - G)^-1 - I, with little lost where G is small.
+        // G (I - G)^-1 = (I - G)^-1 - I, without cancellation where G is small.
         const float ratio = (1 - gxx) * (1 - gyy) - gxy * gyx, lost = gxx * gyy - gxy * gyx;
         const bool known = wide && ratio > settings.least_ratio;
         const float grown = 1 / (known ? ratio : 1.0f);
@@ -150,10 +155,10 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
         }
     }
     alignas(64) float along_x[kAreaBlock][kAreaShares] = {}, along_y[kAreaBlock][kAreaShares] = {};
-    int positions = 0;  // that take part
+    int positions = 0;  // with a weight above 0
     for (int q = 0; q < kAreaBlock; ++q) {
         if (!(any[q] > 0)) continue;
-        // What a displacement (1, 0) or (0, 1) of a point at (x, y) from the centroid and of weight 1 adds to a field.
+        // Change of a field by a displacement (1, 0) or (0, 1) of a point of weight 1 at (x, y) from the centroid.
         const float forward[2][2] = {{1 + fits.gradient[0][q], fits.gradient[1][q]},
                                      {fits.gradient[2][q], 1 + fits.gradient[3][q]}};
         const float a = fits.inverse[0][q], b = fits.inverse[1][q], d = fits.inverse[2][q];
@@ -170,7 +175,7 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
         moments(points, fits.x[q], fits.y[q], fits.center_x[q], fits.center_y[q], weighted, weighted + points.count);
         ++positions;
     }
-    // Two points at a time: one sum after the other would wait for each.
+    // Two points at a time, so that additions of one sum do not wait for each other.
     for (std::int64_t k = 0; k < points.count; k += 2) {
         const std::int64_t next = k + 1 < points.count ? 1 : 0;
         for (int first = 0; first < kAreaShares; first += kFloats) {

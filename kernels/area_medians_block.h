@@ -1,4 +1,4 @@
-// Fits at positions of an ellipse that lie near each other, for medians over its area.
+// Fits at a block of neighbouring positions of an ellipse, for medians over its area (area_medians.cpp).
 #pragma once
 
 #include <cstdint>
@@ -9,15 +9,16 @@ namespace fingerflow {
 
 constexpr int kAreaBlock = 16;   // positions
 constexpr int kAreaFields = 5;   // divergence, curl, exx, eyy, exy
-constexpr int kAreaShares = 16;  // numbers a point gets: of each field, by the components of its displacement; zeros
+constexpr int kAreaShares = 16;  // floats a point: (field, component of its displacement), then zeros
 
-// Lengths are in radii of a fit's support from the centre of the ellipse, displacements in the unit that was given.
+// `radius` and displacements are in the unit given; other lengths are in radii, from the centre of the ellipse.
 struct AreaSettings {
     std::int64_t measure;
     float minimum_points, radius, least_spread, farthest, least_ratio;
 };
 
-// The points that may lie within a radius of a position of the block; number among those of the frame.
+// The points that may lie within a radius of a position of the block; `number` is the index in the frame's sorted
+// points.
 struct AreaPoints {
     const float *x, *y, *u, *v;
     const std::int32_t* number;
@@ -27,24 +28,25 @@ struct AreaPoints {
 struct AreaFits {
     float x[kAreaBlock], y[kAreaBlock];
     float known[kAreaBlock];                              // 0 or 1
-    float center_x[kAreaBlock], center_y[kAreaBlock];     // weighted mean place of the points
-    float inverse[3][kAreaBlock], share[kAreaBlock];      // xx, xy, yy of the second moments' inverse; 1 / sum of weights
-    float gradient[4][kAreaBlock];                        // by reference coordinates, ux, uy, vx, vy
+    float center_x[kAreaBlock], center_y[kAreaBlock];     // weighted centroid of the points
+    float inverse[3][kAreaBlock], share[kAreaBlock];      // inverse second moments xx, xy, yy; 1 / sum of weights
+    float gradient[4][kAreaBlock];                        // displacement gradient H by reference coordinates: ux, uy, vx, vy
     float fields[kAreaFields][kAreaBlock];
 };
 
-// What the positions beside a median take part in its error with.
+// Which positions count towards a median's error: those whose field lies near the median.
 struct AreaBeside {
     float median[kAreaFields];
     float xx, xy, yy;    // mean covariance of a point
-    float reach, even;   // as in fingerflow/ops/fields/area_medians.py
+    float reach, even;   // constants of fingerflow/ops/fields/area_medians.py
 };
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& fits);
-    // Adds to (points of the frame, kAreaShares) numbers how much each point's displacement moves the sum of the fields
-    // beside their medians, and to `total` how many positions these are. `memory` has room for 2 kAreaBlock count numbers.
+    // Adds to `shares` (points of the frame, kAreaShares) the sensitivity of the weighted sum of the fields near their
+    // medians to each point's displacement, and to `total` the sum of the weights. `memory` has space for
+    // 2 kAreaBlock count floats.
     void add_shares(const AreaSettings& settings, const AreaPoints& points, const AreaFits& fits,
                     const AreaBeside& beside, float* memory, float* shares,
                     float (&total)[kAreaFields]);

@@ -1,4 +1,8 @@
-// Means over blocks and lines of the pixels that are read of a frame, as fingerflow/tracker/block_means.py has them.
+// Means of subsampled frames over blocks and over lines (fingerflow/tracker/block_means.py).
+// One pixel of `along` of every `down`-th line is read, beginning at along / 2 and down / 2. These samples are divided
+// into rows x columns blocks that cover all of them; neighbouring blocks share samples where counts do not divide.
+// Layout: results are contiguous, blocks (batch, rows, columns) and lines (batch, lines read). Sums of integer pixels
+// are exact, those of floats are doubles.
 #include <numeric>
 #include <type_traits>
 #include <vector>
@@ -11,12 +15,13 @@
 namespace fingerflow {
 namespace {
 
-// Of some of `count` numbers, cut into `pieces` that cover them all: neighbours share one where they do not fit.
+// A range of samples.
 struct Piece {
     std::int64_t first, end;
     std::int64_t size() const { return end - first; }
 };
 
+// Divides `count` samples into `pieces` ranges that cover them all; neighbours share one where counts do not divide.
 std::vector<Piece> cut(std::int64_t count, std::int64_t pieces) {
     std::vector<Piece> result;
     for (std::int64_t piece = 0; piece < pieces; ++piece)
@@ -29,7 +34,7 @@ struct Sampled {
     std::vector<Piece> rows, columns;
 };
 
-// Every so many pixels of a row, the usual number by a loop of its own: the compiler makes vectors of that.
+// Reads one pixel of `along` of a row. The usual step 4 has its own loop, which the compiler vectorizes.
 template <class Pixel, class Number>
 void read_line(const Pixel* row, std::int64_t along, std::vector<Number>& to) {
     const auto count = static_cast<std::int64_t>(to.size());
@@ -40,12 +45,11 @@ void read_line(const Pixel* row, std::int64_t along, std::vector<Number>& to) {
         for (std::int64_t x = 0; x < count; ++x) numbers[x] = row[x * along];
 }
 
-// Sums of integers are exact, those of floats double.
 template <class Pixel>
 void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* lines) {
     constexpr bool whole = std::is_integral_v<Pixel>;
     using Sum = std::conditional_t<whole, std::int64_t, double>;
-    // Of a line, which has a few hundred numbers, 32 bits hold the sum of 16 each.
+    // A line has a few hundred samples: 32 bits hold a sum of 16-bit values.
     using Number = std::conditional_t<whole && sizeof(Pixel) <= 2, std::uint32_t, Sum>;
     const auto mean = [](Sum sum, std::int64_t count) {
         return static_cast<float>(static_cast<double>(sum) / static_cast<double>(count));
@@ -54,7 +58,7 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
     sums.reserve(static_cast<std::size_t>(given.read) * given.columns.size());
     for (std::int64_t line = 0; line < given.read; ++line) {
         const Pixel* const row = frame + (given.down / 2 + line * given.down) * given.row_stride + given.along / 2;
-        // No processor foresees lines so far apart.
+        // Hardware does not prefetch lines so far apart.
         const auto* const next = reinterpret_cast<const char*>(row + (line + 1 < given.read ? given.down * given.row_stride : 0));
         for (std::int64_t byte = 0; byte < given.across * given.along * static_cast<std::int64_t>(sizeof(Pixel)); byte += 64)
             FINGERFLOW_PREFETCH(next + byte);

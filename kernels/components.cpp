@@ -1,4 +1,8 @@
-// Runs of rows joined to those of the row above, as trees whose root is the first run of a part.
+// Connected components of masks: filled holes and the largest component (fingerflow/ops/contact/components.py).
+// Runs of equal pixels of each row are joined to touching runs of the row above by union-find: parts of the mask touch
+// across corners (8-connected), the background does not (4-connected).
+// Layout: masks are bytes, row-major, 0 for background; a Run holds a row and its first and last column, and runs lie
+// in reading order. The root of a component is its first run.
 #include "components.h"
 
 #include <algorithm>
@@ -13,12 +17,12 @@ namespace {
 
 struct Run {
     std::int64_t row, first, last;  // pixels of the row
-    std::size_t above;              // in its tree; a root lies above itself
+    std::size_t above;              // parent in the union-find tree; a root is its own parent
 };
 
-// The first pixel from x on that is set, or is not; `width` if there is none.
+// The first column from x on whose pixel is set (or clear, by `set`); `width` if there is none.
 std::int64_t next(const unsigned char* row, std::int64_t x, std::int64_t width, bool set) {
-    const std::uint64_t others = set ? 0 : 0x0101010101010101;  // eight pixels to pass over
+    const std::uint64_t others = set ? 0 : 0x0101010101010101;  // eight pixels to skip
     for (std::uint64_t eight; x + 8 <= width; x += 8) {
         std::memcpy(&eight, row + x, sizeof eight);
         if (eight != others) break;
@@ -41,7 +45,7 @@ void join(std::vector<Run>& runs, std::size_t one, std::size_t other) {
     runs[std::max(one, other)].above = std::min(one, other);
 }
 
-// Runs of pixels that are set, or are not, in reading order; they touch those of the next row up to `reach` px aside.
+// Runs of set (or clear) pixels in reading order, joined to runs of the row above up to `reach` px to the side.
 std::vector<Run> joined_runs(const unsigned char* mask, std::int64_t height, std::int64_t width, std::int64_t row_stride,
                              bool set, std::int64_t reach) {
     std::vector<Run> runs;

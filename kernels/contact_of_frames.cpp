@@ -1,4 +1,7 @@
-// Contact of frames, one part after the other: light, mask and region.
+// Contact of frames in one call: illumination gain, real-contact mask and apparent-contact region, one after the other
+// (fingerflow/graphs/contact.py). The mask's limit is limits[frame] * gain, clamped to [0, 1], with gain 1 where
+// unknown.
+// Layout: gains (batch), masks and density margins contiguous, as the three functions called here write them.
 #include <cmath>
 #include <vector>
 
@@ -11,7 +14,7 @@ void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const floa
     std::vector<float> shares(static_cast<std::size_t>(given->batch));
     for (std::size_t frame = 0; frame < shares.size(); ++frame) {
         const float share = limits[frame] * (std::isfinite(gains[frame]) ? gains[frame] : 1.0f);
-        // NaN is undercut nowhere, and no more than all of the light counts.
+        // A limit of NaN becomes 0, at which no pixel is in contact; limits above 1 become 1.
         shares[frame] = share > 0 ? (share < 1 ? share : 1.0f) : 0.0f;
     }
     fingerflow_real_contact_mask(given, shares.data(), size, real_contact_mask, threads);

@@ -1,6 +1,10 @@
-// The threshold half-way between ridges and valleys, as fingerflow/ops/contact/contact_threshold.py has it: a frame at a time, whose
-// levels, medians and masks stay in a cache. Numbers are float where the portable form has floats, so that both take the
-// same level of many that are almost equally good.
+// Contact threshold: the intensity loss half-way between ridges and valleys
+// (fingerflow/ops/contact/contact_threshold.py). loss = 1 - (frame - black) / light as a level of 8 bit, level = 204
+// (loss + 0.25), median-filtered. Otsu's threshold starts two rounds of: contact region below the threshold, then the
+// mean of the medians of levels above and below it.
+// Layout: byte planes of one frame (levels, medians, masks) in the thread's workspace, where they stay in a cache;
+// subsampled ones are (rows_, columns_). Numbers are float where the portable form has floats, so that both choose the
+// same of several almost equal levels.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -15,7 +19,7 @@ namespace fingerflow {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-constexpr float kLow = -0.25f, kScale = 204;  // the intensity loss of level 0, and levels of a loss of one
+constexpr float kLow = -0.25f, kScale = 204;  // loss of level 0, and levels per unit of loss
 constexpr float kLeastLoss = 0.05f, kNoiseRatio = 6;
 constexpr int kRounds = 2, kLevels = 256;
 
@@ -57,7 +61,8 @@ Classes classes_of(const std::int64_t* counts) {
     return {two ? static_cast<float>(best) : kNaN, lower + centre, upper + centre, std::sqrt(std::max(variance, 0.0f))};
 }
 
-// Of counts of levels from `first` to before `end`, as `median_of_counts` of fingerflow/ops/filters/quantile.py; NaN without any.
+// Median of the levels from `first` to before `end`, interpolated within a level; NaN without any count
+// (`median_of_counts` of fingerflow/ops/filters/quantile.py).
 float median_of(const std::int64_t* counts, int first, int end) {
     std::int64_t total = 0, reached = 0;
     for (int level = first; level < end; ++level) total += counts[level];
@@ -68,11 +73,11 @@ float median_of(const std::int64_t* counts, int first, int end) {
     return static_cast<float>(level) - 0.5f + (half - static_cast<float>(reached)) / own;
 }
 
-// The level half-way between the medians above and below a level; NaN without any above.
+// The mean of the medians above and below a level; NaN if none lies above.
 float half_way(const std::int64_t* counts, float level, const Classes& classes) {
     const int split = std::min(std::max(static_cast<int>(std::floor(level)) + 1, 0), kLevels);
     const float ridges = median_of(counts, split, kLevels), valleys = median_of(counts, 0, split);
-    // Contact without gaps has no valleys: the empty glass stands for them.
+    // Contact without gaps has no valleys: the level of the empty glass replaces their median.
     return (ridges + (std::isfinite(valleys) ? valleys : classes.lower)) / 2;
 }
 
@@ -123,7 +128,7 @@ public:
 private:
     static std::int64_t whole(std::int64_t bytes) { return (bytes + 63) / 64 * 64; }
 
-    // Medians of levels and where they are lit, of the pixels that count alone, (rows_, columns_).
+    // Writes median-filtered levels and which of them are lit, of the subsampled pixels, (rows_, columns_).
     void smooth() {
         const fingerflow_image& image = lit_.frames;
         const Frames frames{image.data, 1, height_, width_, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
@@ -132,7 +137,7 @@ private:
         parallel_for((height_ + piece_rows - 1) / piece_rows, threads_, [&](std::int64_t piece) {
             for (std::int64_t y = piece * piece_rows; y < std::min(height_, (piece + 1) * piece_rows); ++y) {
                 const std::int64_t beyond = y % stride_;
-                if (beyond > half && beyond + half < stride_) continue;  // no window sees the line
+                if (beyond > half && beyond + half < stride_) continue;  // no window reads the line
                 const std::int64_t at = y * width_;
                 find(frames, y, lit_.light + at, lit_.black + at, levels_ + at, wanted_ + at);
             }
@@ -152,7 +157,7 @@ private:
                              nullptr, kLevels, counts, threads_);
     }
 
-    // Where pixels count that lie in the region of what is below the limit: (rows_, columns_) in `mask_`.
+    // Writes to `mask_` (rows_, columns_) the lit pixels in the contact region of the given limit.
     void find_region(float limit) {
         const float within = std::min(std::max(limit, 0.0f), 1.0f);
         float numbers[7];
@@ -188,7 +193,7 @@ void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const floa
     const auto find = [&](std::int64_t frame, int own) {
         thresholds[frame] = Frame(*given, frame, size, table, radius, side, stride, own).threshold(gains[frame]);
     };
-    // A frame a thread, or all threads on the only one.
+    // One thread a frame, or all threads for a single frame.
     if (given->batch == 1) return find(0, threads);
     parallel_for(given->batch, threads, [&](std::int64_t frame) { find(frame, 1); });
 }

@@ -1,4 +1,7 @@
 // build: each instruction set
+// Intensity loss of one line as 8-bit levels: level = 255 - 204 (frame - black) / light, rounded and clamped to 0..255;
+// level 51 is a loss of 0 and stands where a pixel is not lit.
+// Layout: one pixel a lane; levels and `lit` (0 or 1) are bytes, light and black floats of the same line.
 #include "contact_threshold_rows.h"
 
 #include <float.h>
@@ -10,10 +13,10 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-constexpr float kScale = 204, kNone = 51, kAll = 255;  // levels of a loss of one, of no loss, and the most
-constexpr float kWhole = 8388608;                      // 2^23: a number below it is rounded where it is added
+constexpr float kScale = 204, kNone = 51, kAll = 255;  // levels per unit of loss, level of no loss, highest level
+constexpr float kWhole = 8388608;                      // 2^23: adding and subtracting it rounds a smaller number to an integer
 
-// In this order, so that levels are those of the portable form bit for bit.
+// The order of operations is that of the portable form: levels agree bit for bit.
 template <bool finite, class Pixel>
 void levels_of(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTRICT light,
                const float* FINGERFLOW_RESTRICT black, std::int64_t width, unsigned char* FINGERFLOW_RESTRICT levels,

@@ -1,4 +1,4 @@
-// Lines of a frame as levels of intensity loss, of one byte.
+// Intensity loss of the lines of a frame as 8-bit levels (contact_threshold.cpp).
 #pragma once
 
 #include "instruction_sets.h"
@@ -8,7 +8,7 @@ namespace fingerflow {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Levels of a line, and bytes that say where it is lit; `light` and `black` are those of the line.
+    // Writes the levels of a line and which pixels are lit; `light` and `black` are those of the line.
     void levels_of_line(const Frames& frames, std::int64_t y, const float* light, const float* black,
                         unsigned char* levels, unsigned char* lit);
 )

@@ -1,4 +1,8 @@
-// Corners of uint8 frames: candidates by rows, then the strongest that keep their distance.
+// Corners of uint8 frames (fingerflow/ops/tracking/corners.py): local maxima of the smaller eigenvalue of the structure
+// tensor, chosen greedily from the strongest on, with at least `min_distance` px between two.
+// A corner must exceed max(quality * strongest response, floor).
+// Layout: a candidate is a 64-bit key, the inverted bits of its response in the upper half and row * width + column in
+// the lower: ascending keys are descending responses. Keys of a piece of kRows rows lie where its pixels would.
 #include <algorithm>
 #include <cstring>
 #include <limits>
@@ -13,15 +17,15 @@
 namespace fingerflow {
 namespace {
 
-constexpr std::int64_t kRows = 64;     // a piece: the rows of a window around it are looked at twice
-constexpr std::int64_t kSorted = 2048;  // candidates at a time, as the weakest are seldom asked for
+constexpr std::int64_t kRows = 64;     // of a piece; half a window of rows on either side is computed twice
+constexpr std::int64_t kSorted = 2048;  // candidates sorted at a time, as the weakest are seldom needed
 
-// Pixels nearer than a distance to a chosen one are taken.
+// Map of the pixels that lie nearer than a distance to a chosen corner.
 class Taken {
 public:
     Taken(std::int64_t height, std::int64_t width, double distance)
         : height_(height), width_(width), taken_(static_cast<std::size_t>(height * width)) {
-        const auto squared = static_cast<float>(distance * distance);  // rounded as the portable comparison rounds it
+        const auto squared = static_cast<float>(distance * distance);  // rounded as in the portable form
         const auto near = [=](std::int64_t x, std::int64_t y) { return static_cast<float>(x * x + y * y) < squared; };
         for (std::int64_t y = 0; y < height && near(0, y); ++y) {
             std::int64_t x = 0;
@@ -42,7 +46,7 @@ public:
 private:
     std::int64_t height_, width_;
     std::vector<unsigned char> taken_;
-    std::vector<std::int64_t> half_widths_;  // of the rows from the middle on
+    std::vector<std::int64_t> half_widths_;  // of the disc's rows, from the middle on
 };
 
 float response_of(std::uint64_t key) {
@@ -52,7 +56,7 @@ float response_of(std::uint64_t key) {
     return response;
 }
 
-// Writes the strongest of the candidates above the floor, and NaN behind them.
+// Writes up to `count` corners above the floor, strongest first, and NaN behind them.
 void select(std::uint64_t* keys, std::int64_t candidates, float floor, const CornerFrame& frame, std::int64_t count,
             double distance, float* points, float* responses) {
     Taken taken(frame.height, frame.width, distance);
@@ -109,7 +113,7 @@ void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::in
         float strongest = 0;
         for (std::int64_t piece = number * pieces; piece < (number + 1) * pieces; ++piece) {
             const CornerCandidates& some = found[static_cast<std::size_t>(piece)];
-            std::copy(some.keys, some.keys + some.count, own + candidates);  // forwards: pieces move up
+            std::copy(some.keys, some.keys + some.count, own + candidates);  // forwards, as ranges may overlap
             candidates += some.count;
             strongest = std::max(strongest, some.strongest);
         }

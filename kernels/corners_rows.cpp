@@ -1,4 +1,10 @@
 // build: each instruction set
+// Corner responses and their local maxima, row by row (corners.cpp).
+// Sobel gradients gx, gy of bytes; sums xx, xy, yy of their products over window x window px; the response is the
+// smaller eigenvalue, (xx + yy - sqrt((xx - yy)^2 + 4 xy^2)) / (128 window^2). Sums are exact int32 numbers, updated by
+// adding the new row and subtracting the row a window above.
+// Layout: one pixel a lane; `Lines` holds column sums padded by half a window, a ring of `window` rows of products, and
+// rings of three rows of responses with a zero at either end.
 #include "corners_rows.h"
 
 #include <math.h>
@@ -12,15 +18,15 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// The smaller eigenvalue counts from this share of the larger one on, as in fingerflow/ops/tracking/corners.py.
+// Least ratio of the smaller eigenvalue to the larger one, as in fingerflow/ops/tracking/corners.py.
 constexpr float kRounding = 1e-5f;
 
 struct Lines {
     std::int64_t stride;
     std::int32_t* sums[3];      // of the products of gradients over the window's rows, padded by half a window
-    std::int32_t* products;     // (window, 3), of the rows of the window, by row modulo window
+    std::int32_t* products;     // (window, 3) lines, by row modulo window
     std::int16_t *smooth, *difference;
-    float *response[3], *larger[3];  // by row modulo 3; responses have a zero at either end
+    float *response[3], *larger[3];  // by row modulo 3
     unsigned char* peaks;
 
     Lines(void* memory, std::int64_t width, std::int64_t window) : stride(width + kCornerPadding) {
@@ -44,7 +50,7 @@ struct Lines {
 
 std::int64_t kept_within(std::int64_t value, std::int64_t end) { return value < 0 ? 0 : value < end ? value : end - 1; }
 
-// Puts the products of Sobel's gradients of a row into the sums, in the place of those of the row a window above.
+// Adds the products of a row's Sobel gradients to the sums and subtracts those of the row a window above.
 void enter(const CornerFrame& frame, std::int64_t row, Lines& lines) {
     const std::int64_t y = kept_within(row, frame.height), width = frame.width, half = frame.window / 2;
     const std::uint8_t* FINGERFLOW_RESTRICT above = frame.data + kept_within(y - 1, frame.height) * frame.row_stride;
@@ -82,7 +88,7 @@ void enter(const CornerFrame& frame, std::int64_t row, Lines& lines) {
     }
 }
 
-// Smaller and larger eigenvalue on a row from the sums of its window's rows.
+// Smaller and larger eigenvalue along a row, from the column sums.
 template <int kWindow>
 void respond(const Lines& lines, std::int64_t width, float* FINGERFLOW_RESTRICT smaller,
              float* FINGERFLOW_RESTRICT larger) {
@@ -119,7 +125,7 @@ void respond(std::int64_t window, const Lines& lines, std::int64_t width, float*
     }
 }
 
-// The responses of a row into lines, zero where no corner may lie. The rows of its window are in the sums.
+// Writes the responses of a row, 0 outside mask and border. The sums must hold the rows of its window.
 void fill_row(const CornerFrame& frame, std::int64_t row, Lines& lines) {
     const std::int64_t width = frame.width, half = frame.window / 2, border = frame.border;
     float* FINGERFLOW_RESTRICT response = lines.response[(row + 3) % 3] + 1;
@@ -141,7 +147,7 @@ void fill_row(const CornerFrame& frame, std::int64_t row, Lines& lines) {
     std::memset(response + width - border, 0, static_cast<std::size_t>(4 * border));
 }
 
-// Candidates of a row, whose neighbours are in lines, and the strongest response.
+// Appends the local maxima of a row, whose neighbours are in `lines`, and updates the strongest response.
 void find_peaks(const CornerFrame& frame, std::int64_t row, const Lines& lines, CornerCandidates* candidates,
                 std::int32_t* strongest_bits) {
     const std::int64_t width = frame.width;
@@ -151,7 +157,7 @@ void find_peaks(const CornerFrame& frame, std::int64_t row, const Lines& lines, 
     const float* FINGERFLOW_RESTRICT larger = lines.larger[row % 3];
     unsigned char* FINGERFLOW_RESTRICT peaks = lines.peaks;
     const float floor = frame.floor;
-    // Positive numbers keep their order as bits.
+    // Positive floats have the order of their bits.
     const auto bits = reinterpret_cast<const std::int32_t*>(here);
     std::int32_t strongest = *strongest_bits;
     for (std::int64_t x = 0; x < width; ++x) strongest = bits[x] > strongest ? bits[x] : strongest;

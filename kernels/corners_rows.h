@@ -1,4 +1,4 @@
-// Responses of corners on some rows of one uint8 frame, and where they are the largest of their neighbours.
+// Corner responses on some rows of one uint8 frame, and their local maxima (corners.cpp).
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace fingerflow {
 
-// The window has at most 15 px: up to there its sums of whole numbers fit 32 bits.
+// The window has at most 15 px, for which its integer sums fit into 32 bits.
 struct CornerFrame {
     const std::uint8_t* data;
     const unsigned char* mask;  // or null
@@ -16,9 +16,9 @@ struct CornerFrame {
 };
 
 struct CornerCandidates {
-    std::uint64_t* keys;  // the stronger the less, and in reading order among equals: room for every pixel
+    std::uint64_t* keys;  // ascending keys are descending responses, equal ones in reading order; space for every pixel
     std::int64_t count;
-    float strongest;  // response inside mask and border, candidate or not; at least 0
+    float strongest;  // greatest response inside mask and border, candidate or not; at least 0
 };
 
 // Bytes of memory that `corner_rows` needs.

@@ -1,4 +1,7 @@
-// Which points regions cover, as fingerflow/ops/contact/cells.py has it: some hundred points a frame.
+// Which points lie in the apparent contact region (fingerflow/ops/contact/cells.py), some hundred points a frame.
+// A point is transformed by 2 x 3 numbers to pixels; it is covered where the density margin, interpolated bilinearly
+// between the centres of cells, exceeds 0.
+// Layout: density margins (batch, cells down, cells across), points (batch, count, 2), results (batch, count) bytes.
 #include <algorithm>
 #include <cmath>
 
@@ -10,7 +13,7 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
     const auto middle = static_cast<float>(side - 1) / 2, each = static_cast<float>(side);
     const auto last_row = static_cast<float>(down), last_column = static_cast<float>(across);
     const std::int64_t right = std::min<std::int64_t>(1, across - 1), below = across * std::min<std::int64_t>(1, down - 1);
-    // To the nearest cell, and the first of two.
+    // First of the two cells that a coordinate lies between, clamped to the grid, and the fraction in between.
     const auto placed = [](float place, float cells, float& part) {
         const float within = std::min(std::max(place, 0.0f), cells - 1);
         const float first = std::min(static_cast<float>(static_cast<std::int32_t>(within)), std::max(cells - 2, 0.0f));

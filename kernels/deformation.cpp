@@ -1,5 +1,8 @@
-// Positions corrected for the deformation of the skin, see fingerflow/ops/tracking/deformation.py: a local fit to the displacements, a
-// second one to their gradients, and what follows from both for each point.
+// Positions corrected for the deformation of the skin (fingerflow/ops/tracking/deformation.py). A local linear fit to
+// the displacements gives the warp F = I + grad u at each point, a second fit to these gradients gives u's second
+// derivatives; correct_block takes their effect on a template's position off.
+// Layout: points are their own queries, in blocks of kFitBlock, one a lane. A record of a point and frame is 1 (usable)
+// or 0 and its values less their mean; `second_` is (frames, points, 4 gradient components, 2 directions).
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -17,7 +20,7 @@ namespace {
 
 static_assert(kDeformedPoints == kFitBlock, "points are corrected in the blocks in which they are fitted");
 
-// A fit of `components` values at the points themselves, in all frames.
+// A local linear fit of `components` values at the points themselves, in all frames.
 class SelfFit {
 public:
     SelfFit(const fingerflow_deformation& given, std::int64_t components)
@@ -44,7 +47,7 @@ public:
                   nullptr,
                   nullptr} {}
 
-    // Values of one frame; value_of(point, component) is not finite where it is not known.
+    // Records the values of one frame; value_of(point, component) is not finite where it is unknown.
     template <class ValueOf>
     void record(std::int64_t frame, const ValueOf& value_of) {
         std::vector<double> sums(size(components_));
@@ -58,7 +61,7 @@ public:
             usable += to[0] != 0;
             for (std::int64_t c = 0; c < components_; ++c) sums[size(c)] += static_cast<double>(to[1 + c]);
         }
-        // A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+        // Subtracting the mean does not change the slope of the plane and keeps its significant digits.
         for (std::int64_t c = 0; c < components_; ++c)
             levels_[size(frame * components_ + c)] = static_cast<float>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
         const float* const level = levels_.data() + frame * components_;
@@ -66,7 +69,7 @@ public:
             for (std::int64_t c = 0; c < components_; ++c) to[1 + c] -= to[0] * level[c];
     }
 
-    // The fit, once all frames are recorded; `value` may be null.
+    // The arguments of the fit, once all frames are recorded; `value` may be null.
     FitFrames<float> fit(float* value, float* gradient) {
         for (std::int64_t frame = 1; frame < frames_.count; ++frame) {
             const std::int64_t fields = 1 + components_;
@@ -138,7 +141,7 @@ private:
         return block;
     }
 
-    // A point without a place has no neighbours.
+    // A point without a position has no neighbours: its results are NaN.
     void forget(std::int64_t point) {
         constexpr float unknown = std::numeric_limits<float>::quiet_NaN();
         for (std::int64_t k = point; k < given_.frames * given_.points; k += given_.points) {

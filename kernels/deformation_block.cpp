@@ -1,4 +1,9 @@
 // build: each instruction set, fused
+// Correction of kDeformedPoints points for the deformation that their templates do not know (deformation.cpp).
+// E = F F_0^-1 - I, with F the local warp and F_0 that of the template. Position: x - lean E - (area - 1) / 24
+// laplacian u. Noise of the fit: max(noise - e' Q e / freedom, min(noise, template noise)), which scales the
+// covariance.
+// Layout: one point a lane; `Columns` transposes [point][component] to [component][point] and back.
 #include "deformation_block.h"
 
 #include <math.h>
@@ -13,7 +18,7 @@ namespace {
 constexpr int kMany = kDeformedPoints;
 constexpr float kTiny = 1e-20f;
 
-// Elements of matrices, or of pairs of them, of all points of a block: component by component.
+// Components of all points of a block, component by component.
 template <int kComponents>
 struct Columns {
     float of[kComponents][kMany];
@@ -31,11 +36,11 @@ struct Columns {
 };
 
 inline float known_or_zero(float value) { return value - value == 0.0f ? value : 0.0f; }
-// Not a number where either is none.
+// NaN where either is NaN.
 inline float lesser(float a, float b) { return a < b || a != a ? a : b; }
 inline float greater(float a, float b) { return a > b || a != a ? a : b; }
 
-// Of the templates of a block.
+// Template statistics of a block's points.
 struct Statistics {
     Columns<4> inverse_warp;
     Columns<8> lean;
@@ -75,7 +80,7 @@ void correct_block(const fingerflow_deformation& given, const float* second, con
             warp.of[1][q] = xy;
             warp.of[2][q] = yx;
             warp.of[3][q] = yy;
-            // E = F F_0^-1 - I, which the template does not know.
+            // E = F F_0^-1 - I.
             const float(&inverse)[4][kMany] = of.inverse_warp.of;
             const float unknown[] = {xx * inverse[0][q] + xy * inverse[2][q] - 1, xx * inverse[1][q] + xy * inverse[3][q],
                                      yx * inverse[0][q] + yy * inverse[2][q], yx * inverse[1][q] + yy * inverse[3][q] - 1};
@@ -90,7 +95,7 @@ void correct_block(const fingerflow_deformation& given, const float* second, con
             place.of[0][q] = x;
             place.of[1][q] = y;
             shift.of[0][q] = half * sqrtf(squares);
-            // What E bends stays in the residual, e'Qe, where it would count as noise.
+            // Unmodelled deformation adds e'Qe to the residual, which would otherwise count as noise.
             float bending = 0;
             for (int i = 0, pair = 0; i < 4; ++i)
                 for (int j = i; j < 4; ++j, ++pair) bending += of.bending.of[pair][q] * (unknown[i] * unknown[j]);

@@ -1,4 +1,4 @@
-// Positions of some points corrected for the deformation that two local fits have found.
+// Correction of the positions of a block of points for the deformation found by two local fits (deformation.cpp).
 #pragma once
 
 #include <cstdint>
@@ -8,13 +8,13 @@
 
 namespace fingerflow {
 
-constexpr int kDeformedPoints = 16;  // at most, of one call
+constexpr int kDeformedPoints = 16;  // most points of one call
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // In all frames, `count` points by their numbers. `warp` holds the displacement gradient and becomes the deformation
-    // gradient, `expected` holds a displacement and becomes a position; `second` (frames, points, 4, 2) is the gradient of the
-    // displacement gradient.
+    // Corrects `count` points, given by index, in all frames. `warp` holds the displacement gradient and becomes the
+    // deformation gradient; `expected` holds a displacement and becomes a position. `second` (frames, points, 4, 2) is
+    // the gradient of the displacement gradient.
     void correct_block(const fingerflow_deformation& given, const float* second, const std::int64_t* point, int count);
 )
 // clang-format on

@@ -1,5 +1,9 @@
-// Points worth tracking: local maxima by rows, then those that are the strongest in the largest squares around them (adaptive
-// non-maximal suppression), see fingerflow/graphs/detect.py.
+// Points worth tracking in one frame (fingerflow/graphs/detect.py): local maxima of the smaller eigenvalue of the
+// structure tensor, chosen by adaptive non-maximal suppression: those that are the strongest in the largest squares.
+// A response must exceed quality * strongest and noise * (variance of the frame's noise). A corner's rank is the
+// distance in px (Chebyshev) to the nearest stronger one less `beside`, plus response / strongest.
+// Layout: responses and peaks of pieces of kRows rows in the thread's workspace (DetectPart); corners sorted by
+// response in linked lists of cells of kCell px.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -24,7 +28,7 @@ struct Maximum {
 
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
-// Strongest first; of equal ones the one that comes first by rows.
+// Strongest first; equal ones in reading order.
 bool stronger(const Maximum& one, const Maximum& other) {
     if (one.response != other.response) return one.response > other.response;
     return one.y != other.y ? one.y < other.y : one.x < other.x;
@@ -60,7 +64,7 @@ private:
         std::size_t number;  // of a corner
     };
 
-    // Of white noise, as fingerflow/ops/filters/noise.py has it, and of rounding; not a number where it is not known.
+    // Variance of white noise (fingerflow/ops/filters/noise.py) and of rounding to integers; NaN where it is unknown.
     float variance(int threads) const {
         constexpr double kDeviationOfResponse = 0.20888568955258338;  // sqrt(pi / 2) / 6
         constexpr float kRounding = 1.0f / 12;
@@ -70,7 +74,7 @@ private:
         return deviation * deviation + (given_.kind == kFloat32 ? 0.0f : kRounding);
     }
 
-    // The part that the mask covers.
+    // Bounding box of the mask.
     static DetectPart bounds(const fingerflow_detection& given) {
         const Frames frame{given.frame, 1, given.height, given.width, 0, given.row_stride, static_cast<PixelKind>(given.kind)};
         DetectPart part{frame, given.mask, given.mask_row_stride, given.border, given.height, 0, given.width, 0};
@@ -88,7 +92,7 @@ private:
         return part;
     }
 
-    // All local maxima above the limit, by rows.
+    // All local maxima above both limits, in reading order.
     std::vector<Maximum> maxima(int threads) const {
         const std::int64_t pieces = part_.bottom > part_.top ? (part_.rows() + kRows - 1) / kRows : 0;
         std::vector<std::vector<Maximum>> found(size(pieces));
@@ -119,13 +123,13 @@ private:
         return result;
     }
 
-    // Corners, strongest first, that are the strongest within `beside` px; by how far they are it, then by response.
+    // Ranks the corners, strongest first, that have no stronger one within `beside` px.
     std::vector<Ranked> rank(const std::vector<Maximum>& corners) const {
         const std::int64_t across = part_.columns() / kCell + 1, down = part_.bottom > part_.top ? part_.rows() / kCell + 1 : 0;
         std::vector<std::int32_t> first(size(corners.empty() ? 0 : across * down), -1), following(corners.size());
         const auto cell_of = [&](const Maximum& one) { return size((one.y - part_.top) / kCell * across + (one.x - part_.left) / kCell); };
         std::vector<Ranked> result;
-        std::size_t known = 0;  // those before are in the cells
+        std::size_t known = 0;  // corners before this one are in the cells
         for (std::size_t k = 0; k < corners.size(); ++k) {
             const Maximum& here = corners[k];
             for (; corners[known].response > here.response; ++known) {
@@ -141,7 +145,7 @@ private:
                     away = std::min<std::int64_t>(away, std::max(std::abs(there.x - here.x), std::abs(there.y - here.y)));
                 }
             };
-            // Ring after ring of cells: what lies in the next one is at least as far as this one is wide.
+            // Ring after ring of cells: corners in ring n are more than (n - 1) kCell px away.
             for (std::int64_t ring = 0; (ring - 1) * kCell < away && away > given_.beside; ++ring) {
                 const std::int64_t above = row - ring, below = row + ring, left = column - ring, right = column + ring;
                 if (above < 0 && below >= down && left < 0 && right >= across) break;

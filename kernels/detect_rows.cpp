@@ -1,5 +1,10 @@
 // build: each instruction set
-// The order of the sums is that of the portable form, fingerflow/graphs/detect.py: responses agree with it bit for bit.
+// Responses of the rows of a part, and which are local maxima (detect.cpp).
+// Slopes: central differences, smoothed by [1 2 1] / 4 across them. Their products xx, xy, yy are averaged over 5 x 5
+// px; the response is the smaller eigenvalue, (xx + yy) / 2 - sqrt(((xx - yy) / 2)^2 + xy^2), or 0 where that is not
+// above 0.
+// Layout: one pixel a lane; responses have a border of zeros around the part, products a ring of five rows.
+// The order of the sums is that of the portable form: responses agree with it bit for bit.
 #include "detect_rows.h"
 
 #include <math.h>
@@ -12,7 +17,7 @@ namespace {
 
 constexpr std::int64_t kSquare = 2 * kTensorReach + 1;
 
-// The sum of five numbers, `step` apart.
+// The sum of five floats, `step` apart.
 inline float sum_of_five(const float* first, std::int64_t step) {
     return first[0] + ((first[step] + first[2 * step]) + (first[3 * step] + first[4 * step]));
 }

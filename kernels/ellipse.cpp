@@ -1,3 +1,8 @@
+// Moments of masks and the ellipses with the same second moments (fingerflow/ops/contact/ellipse.py).
+// Semi-axes 2 sqrt(m + s) and 2 sqrt(m - s) with m = (xx + yy) / 2 and s = hypot((xx - yy) / 2, xy) of the central
+// second moments; angle atan2(2 xy, xx - yy) / 2.
+// Layout: masks are bytes, sums (batch, 6) int64 and exact, ellipses (batch, 6) doubles: x, y, major, minor, angle,
+// area.
 #include <algorithm>
 #include <cmath>
 #include <initializer_list>
@@ -46,7 +51,7 @@ void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, 
 void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     for (const fingerflow::Moments& m : fingerflow::moments_of(masks, batch, height, width, frame_stride, row_stride, threads)) {
-        // As fingerflow/ops/contact/ellipse.py: about the pixel next to the centre, in whole numbers.
+        // Moments about the pixel nearest to the centre, in integers, so that none of their digits cancel.
         const auto area = static_cast<double>(m.number);
         const double center_x = static_cast<double>(m.x) / area, center_y = static_cast<double>(m.y) / area;
         const std::int64_t near_x = m.number == 0 ? 0 : std::llrint(center_x), near_y = m.number == 0 ? 0 : std::llrint(center_y);

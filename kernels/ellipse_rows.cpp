@@ -1,5 +1,8 @@
 // build: each instruction set
-// Each line gives its number of pixels and their sum of x; the counts of the columns give the sums of x and x x.
+// Integer moments of some rows of a mask: 1, x, y, xx, xy, yy over its set pixels.
+// Each line gives its count and its sum of x, of which the moments by y are made; the counts of the columns give x and
+// xx.
+// Layout: one pixel a lane, masks are bytes, `columns` holds one int32 count a column.
 #include "ellipse_rows.h"
 
 #include <string.h>

@@ -1,4 +1,4 @@
-// Moments of some rows of a mask.
+// Moments of some rows of a mask (ellipse.cpp).
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@ struct Moments {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Of rows from `top` to before `bottom`; `columns` holds `width` numbers. Fewer than 2^16 columns.
+    // Moments of rows `top` to before `bottom`; `columns` has space for `width` numbers. Fewer than 2^16 columns.
     Moments moments_of_rows(const unsigned char* mask, std::int64_t width, std::int64_t row_stride, std::int64_t top,
                             std::int64_t bottom, std::int32_t* columns);
 )

@@ -1,3 +1,6 @@
+// Status codes of exceptions at the library's C boundary: kNoMemory for std::bad_alloc and std::length_error, kFailed
+// else.
+// Layout: one message of up to 255 bytes a thread, which Python reads after a call that failed.
 #include "entry.h"
 
 #include <cstdio>
@@ -20,7 +23,7 @@ int outcome_of_exception() noexcept {
     } catch (const std::bad_alloc& error) {
         keep(error.what());
         return kNoMemory;
-    } catch (const std::length_error& error) {  // of a vector: more than any memory holds
+    } catch (const std::length_error& error) {  // thrown by a vector that would exceed any memory
         keep(error.what());
         return kNoMemory;
     } catch (const std::exception& error) {

@@ -1,5 +1,5 @@
-// From one block of memory that Python packed to the arguments of a function of interface.h, and from what the function
-// throws to a number. generate_entries.py writes one such entry a function.
+// Entries of the library: a block of memory that Python packed is unpacked to the arguments of a function of
+// interface.h, and exceptions become status codes. generate_entries.py writes one entry for each function.
 #pragma once
 
 #include <cstdint>
@@ -17,13 +17,14 @@ namespace fingerflow {
 
 enum Outcome : int { kDone = 0, kNoMemory = 1, kFailed = 2 };
 
-// The outcome of the exception that is being handled; what it says is kept for the thread.
+// Status code of the exception being handled; its message is kept for the thread.
 int outcome_of_exception() noexcept;
 
-// What the last call of this thread that failed had to say.
+// Message of this thread's last failed call.
 const char* last_message() noexcept;
 
-// Every argument begins at a multiple of 8 bytes: a number, an address, or a whole structure, which is handed on in place.
+// Next argument: a number, an address, or a structure, passed by its address in the block. Each begins at a multiple of
+// 8 bytes.
 template <class Argument>
 Argument unpacked(const unsigned char*& at) {
     constexpr bool whole = std::is_pointer_v<Argument> && std::is_class_v<std::remove_pointer_t<Argument>>;
@@ -46,7 +47,7 @@ template <class... Arguments>
 int enter(void (*function)(Arguments...), const void* packed) noexcept {
     try {
         auto at = static_cast<const unsigned char*>(packed);
-        const std::tuple<Arguments...> arguments{unpacked<Arguments>(at)...};  // in this order: they stand in braces
+        const std::tuple<Arguments...> arguments{unpacked<Arguments>(at)...};  // braces guarantee the order of evaluation
         std::apply(function, arguments);
         return kDone;
     } catch (...) {

@@ -1,4 +1,4 @@
-// A vector of floats as wide as the instruction set's registers, so that sums stay in registers.
+// Floats: a vector of floats as wide as the instruction set's registers, so that sums stay in registers.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 #include "lanes.h"
 
-// Before a loop over a few vectors: unrolled, they stay in registers.
+// Unrolls a loop over a few vectors, so that they stay in registers.
 #if defined(__clang__)
 #define FINGERFLOW_UNROLL _Pragma("clang loop unroll(full)")
 #elif defined(__GNUC__)
@@ -34,7 +34,7 @@ typedef float Floats __attribute__((vector_size(4 * kFloats)));
 inline Floats all(float value) { return Floats{} + value; }
 typedef float Floats4 __attribute__((vector_size(16)));
 typedef int Integers __attribute__((vector_size(4 * kFloats)));
-// The first `count` of a vector's numbers, zero behind them.
+// Mask that keeps the first `count` floats of a vector and sets the others to 0.
 struct Beginning {
     Integers mask;
     explicit Beginning(int count) {
@@ -42,7 +42,7 @@ struct Beginning {
     }
     Floats of(Floats value) const { return (Floats)((Integers)value & mask); }
 };
-// Numbers where a mask of the same length is -1, zero where it is 0.
+// The floats where a mask of the same length is -1; 0 where it is 0.
 inline Floats kept(Floats value, const std::int32_t* mask) {
     Integers of;
     std::memcpy(&of, mask, sizeof of);
@@ -118,8 +118,8 @@ inline Floats load(const float* from) {
     std::memcpy(&value, from, sizeof value);
     return value;
 }
-// A value that stays in a register from here on. Vectors at odd places cross cache lines, where a load takes twice as
-// long; compilers would rather load one again for each use.
+// Keeps a value in a register. Unaligned vectors cross cache lines, where a load takes twice as long, and compilers
+// would load the value again for each use.
 template <class Vector>
 inline Vector held(Vector value) {
 #if defined(__GNUC__) && defined(FINGERFLOW_X86)
@@ -129,7 +129,7 @@ inline Vector held(Vector value) {
 }
 inline void store(float* to, const Floats& value) { std::memcpy(to, &value, sizeof value); }
 
-// Numbers above zero, and whether they are (1 or 0), zero for the others; the lesser and the greater of two.
+// Elementwise: minimum and maximum of two; max(value, 0); 1 where value > 0, else 0.
 #if defined(__GNUC__) || defined(__clang__)
 inline Floats lesser(Floats a, Floats b) { return a < b ? a : b; }
 inline Floats greater(Floats a, Floats b) { return a > b ? a : b; }
@@ -154,13 +154,13 @@ inline Floats is_positive(Floats value) {
 }
 #endif
 
-// Sums of neighbours: those of `a`, then those of `b`; of AVX in each half of the vectors by itself.
+// Sums of pairs of neighbours of `a`, then of `b`; with AVX within each half of the vectors.
 #if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
 #if defined(__AVX512F__)
 #define FINGERFLOW_EVEN 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30
 #define FINGERFLOW_ODD 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31
 #elif defined(__AVX__)
-// Within each half: what crosses the middle takes three times as long.
+// Within each half, since shuffles across the middle take three times as long.
 #define FINGERFLOW_HALVES
 #define FINGERFLOW_EVEN 0, 2, 8, 10, 4, 6, 12, 14
 #define FINGERFLOW_ODD 1, 3, 9, 11, 5, 7, 13, 15
@@ -181,7 +181,7 @@ inline Floats pair_sums(const Floats& a, const Floats& b) {
     return result;
 }
 #endif
-// The sum of each of `count` vectors, a power of 2; of kFloats vectors a vector of sums.
+// Sums of `count` vectors (a power of 2) by pairs; for kFloats vectors the vector of their sums.
 template <int count>
 inline Floats folded(const Floats* of) {
     if constexpr (count == 1) return of[0];
@@ -193,7 +193,7 @@ inline Floats folded(const Floats* of) {
 #endif
     else return pair_sums(folded<count / 2>(of), folded<count / 2>(of + count / 2));
 }
-// The sum of each vector; `to` has room for whole vectors.
+// Writes the sum of each vector to `to`, which has space for whole vectors.
 template <int count>
 inline void sums(const Floats (&of)[count], float* to) {
     static_assert(count % kFloats == 0, "whole vectors of sums");
@@ -203,29 +203,29 @@ inline float sum(const Floats4& value) { return (value[0] + value[2]) + (value[1
 
 #if defined(__AVX2__) && (defined(__GNUC__) || defined(__clang__))
 #define FINGERFLOW_LOOKUP
-// Of the numbers of two vectors, one behind the other, those at the places `index`.
+// Elements at `index` of the concatenation of two vectors.
 inline Floats looked_up(Floats low, Floats high, Integers index) {
 #if defined(__AVX512F__)
     return (Floats)_mm512_permutex2var_ps((__m512)low, (__m512i)index, (__m512)high);
 #else
     const __m256 of_low = _mm256_permutevar8x32_ps((__m256)low, (__m256i)index);
     const __m256 of_high = _mm256_permutevar8x32_ps((__m256)high, (__m256i)index);
-    return (Floats)_mm256_blendv_ps(of_low, of_high, (__m256)_mm256_slli_epi32((__m256i)index, 28));  // bit 3 chooses
+    return (Floats)_mm256_blendv_ps(of_low, of_high, (__m256)_mm256_slli_epi32((__m256i)index, 28));  // bit 3 selects the vector
 #endif
 }
 #endif
 
-// From the border pixel to the one opposite, for the first and the last place with all four taps: beyond, the border is
-// repeated, as in the portable form.
+// Range of the fraction from the border pixel to the opposite one, at the first and last positions with all four taps;
+// beyond, the border is repeated, as in the portable form.
 constexpr float kLeastFraction = -1, kMostFraction = 2;
-// Numbers kept within limits and split into whole and fraction. What is not a number becomes `low`.
+// Integer part, clamped to [low, high], and fraction; NaN gives `low`.
 struct Split {
     std::int32_t whole[kFloats];
     Floats fraction;
 };
 #if defined(__GNUC__) || defined(__clang__)
 inline Split split(Floats value, float low, float high) {
-    // The whole part is limited, not the number: beyond the limits the fraction grows, as far as the border.
+    // Only the integer part is clamped: beyond the limits the fraction grows, as far as the border.
     Floats whole = value > all(low) ? value : all(low);
     whole = whole < all(high) ? whole : all(high);
     const Floats towards_zero = __builtin_convertvector(__builtin_convertvector(whole, Integers), Floats);
@@ -253,7 +253,7 @@ inline Split split(const Floats& value, float low, float high) {
 }
 #endif
 
-// The least multiple of the vector's length that holds so many floats.
+// `count` rounded up to a multiple of the vector's length.
 constexpr int whole_floats(int count) { return (count + kFloats - 1) / kFloats * kFloats; }
 
 }  // namespace FINGERFLOW_ISA

@@ -1,4 +1,9 @@
-// Dense flow: V-cycles of its multigrid, level by level, and images warped by it.
+// Dense flow: multigrid V-cycles, and warping of images (fingerflow/ops/flow/flow_descent.py, dense_flow.py).
+// Solves (T + L) step = pull - L (flow - course) for the 2-vector step of each cell: T is the structure tensor, L the
+// Laplacian weighted by the edges, and the course a locally fitted plane. Damped block-Jacobi sweeps smooth each level;
+// residuals are averaged over 2 x 2 cells to the next one, and corrections interpolated back.
+// Layout: planes of floats, row-major; a vector field is a plane of u and one of v. Each level's two fields lie behind
+// those of the finer level in the caller's workspace. Threads share the rows of a plane (flow_pieces.h).
 #include <algorithm>
 #include <memory>
 
@@ -18,7 +23,8 @@ struct Cycle {
     float damping;
     int threads;
 
-    // The solution on a level, in one of two fields in `memory`, behind which the coarser levels have theirs.
+    // Solves on a level and all coarser ones. The solution lies in one of two fields in `memory`, before those of the
+    // coarser levels.
     FlowField solved(std::int64_t number, const FlowField& right_side, float* memory) const {
         const FlowLevel& level = levels[number];
         const std::int64_t plane = level.height * level.width;
@@ -87,7 +93,7 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
         std::copy(from, from + 2 * plane, moved);
         for (int k = 0; k < given->cycles; ++k) {
             flow_departure({moved, known, 2, height, width}, {given->weights, given->half}, beside, course, threads);
-            // Where nothing was seen the flow begins with its course.
+            // Cells without data start at the course.
             if (k == 0)
                 for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
                     for (std::int64_t x = y * width; x < (y + 1) * width; ++x)

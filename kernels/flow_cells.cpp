@@ -1,4 +1,8 @@
-// Dense flow between pixels and cells: what a flow leaves unexplained of an image, and results.
+// Dense flow between pixels and cells of 2 x 2 px (fingerflow/ops/flow/dense_flow.py): templates (values, gradients and
+// structure tensors), residuals of a flow, and results at the pixels.
+// Residual of a pixel: warped - offset - gain * value, gain and offset fitted by least squares over the image.
+// Layout: planes of floats, row-major, `channels` planes an image; a cell plane has ceil(height / 2) x ceil(width / 2)
+// numbers. Threads share rows; sums are kept per row and added in order, so that they do not depend on their number.
 #include <cmath>
 
 #include "flow_cells_rows.h"
@@ -10,13 +14,14 @@
 namespace fingerflow {
 namespace {
 
+// The sum of one of `stride` sums of each row.
 double added(const double* rows, std::int64_t height, std::int64_t stride, std::int64_t number) {
     double sum = 0;
     for (std::int64_t y = 0; y < height; ++y) sum += rows[y * stride + number];
     return sum;
 }
 
-// Of one image: the flow's (channels, height, width) cells and its plane to pixels, these warped, light and rest.
+// Residuals of one image: interpolates the flow to the pixels, warps, fits gain and offset, averages over cells.
 void left_of(const fingerflow_flow_left_of& given, std::int64_t image, int threads) {
     const std::int64_t height = given.height, width = given.width, area = height * width;
     const std::int64_t rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
@@ -43,7 +48,7 @@ void left_of(const fingerflow_flow_left_of& given, std::int64_t image, int threa
     });
     const double energy = added(sums, height, 5, 3), fitted = added(sums, height, 5, 4) / (energy > 1e-12 ? energy : 1e-12);
     const double most = given.most_gain;
-    // A picture that has nothing in common with the first one would have its sign turned: it is compared as it is.
+    // Gain 1 where the fit is below 1 / most_gain, as for an image unrelated to the first, whose gain may be negative.
     const float gain = static_cast<float>(fitted > 1 / most ? (fitted < most ? fitted : most) : 1.0);
     const float offset = means[1] - gain * means[0];
     given.gain[image] = gain;
@@ -149,7 +154,7 @@ void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int th
             FINGERFLOW_PICK(flow_finer_row)(flow, &plane, width, y, to, memory);
             FINGERFLOW_PICK(flow_finer_row)(others, nullptr, width, y, to + 2, memory);
             FINGERFLOW_PICK(flow_lost_row)(given->inside + area * image, height, width, y, to, 6);
-            for (std::int64_t x = 0; x < width; ++x) to[6][x] = to[3][x];  // the two halves of a symmetric one
+            for (std::int64_t x = 0; x < width; ++x) to[6][x] = to[3][x];  // yx = xy
         });
     }
 }

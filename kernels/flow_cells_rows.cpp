@@ -1,5 +1,9 @@
 // build: each instruction set, fused
-// One row at a time, as loops that compilers make vectors of.
+// Row loops of flow_cells.cpp and flow_course.cpp: interpolation between cells and pixels, residuals, gradients,
+// moments and window means. Cells are interpolated with weights 3/4 and 1/4 along each axis, normalised by the known
+// cells.
+// Layout: one pixel or cell of a row a lane; `to` and `memory` hold rows, one after the other. Sums over a row are
+// taken in float lanes and added as doubles.
 #include "flow_cells_rows.h"
 
 #include <math.h>
@@ -17,7 +21,7 @@ inline double total(const Floats& value) {
     return result;
 }
 
-// Adds to `sums` those of `count` terms, which term(x, lanes) gives for a vector of them, or a single one.
+// Adds `count` sums over a row to `sums`: terms(x, lanes) adds a vector, term(x, sums) a single element.
 template <int count, class Terms, class Term>
 inline void add_sums(std::int64_t width, double* sums, const Terms& terms, const Term& term) {
     Floats lanes[count];
@@ -28,6 +32,7 @@ inline void add_sums(std::int64_t width, double* sums, const Terms& terms, const
     for (; x < width; ++x) term(x, sums);
 }
 
+// Weighted least-squares plane from its moments; flat where the cells do not span a plane.
 inline void solve_plane(float around, float sum_x, float sum_y, float sum_xx, float sum_xy, float sum_yy, float field, float by_x,
                         float by_y, float& height, float& slope_x, float& slope_y) {
     const float tiny = 1e-12f, narrow = 0.01f;
@@ -53,7 +58,7 @@ void flow_finer_row(const FlowCells& cells, const FlowPlane* plane, std::int64_t
     const std::int64_t count = cells.width, near = y / 2;
     const std::int64_t next = y % 2 ? (near + 1 < cells.height ? near + 1 : near) : (near > 0 ? near - 1 : 0);
     const float middle_x = 0.5f * static_cast<float>(count - 1), middle_y = 0.5f * static_cast<float>(cells.height - 1);
-    float* FINGERFLOW_RESTRICT share = memory + 1;  // a cell is repeated at either end
+    float* FINGERFLOW_RESTRICT share = memory + 1;  // the end cells are repeated
     bool whole = true;
     const float *FINGERFLOW_RESTRICT here = cells.known ? cells.known + near * count : nullptr;
     const float *FINGERFLOW_RESTRICT there = cells.known ? cells.known + next * count : nullptr;
@@ -208,7 +213,7 @@ void flow_light_row(const FlowPicture& picture, const float* warped, const float
 
 namespace {
 
-// Sums of pairs over four, the last column by itself where their number is odd.
+// A quarter of the sum of each pair of columns; an odd last column alone.
 inline void halve(const float* FINGERFLOW_RESTRICT from, std::int64_t width, float* FINGERFLOW_RESTRICT to) {
     const std::int64_t pairs = width / 2;
     FINGERFLOW_INDEPENDENT
@@ -416,7 +421,7 @@ void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* t
     }
     for (int k = 0; k < 3; ++k) halve(memory + k * width, width, tensor[k]);
     const float *FINGERFLOW_RESTRICT one = picture.inside + 2 * y * width, *FINGERFLOW_RESTRICT two = one + (rows - 1) * width;
-    const float share = rows == 2 ? 0.125f : 0.0625f;  // one row counts twice in the sum, and beyond it there is none
+    const float share = rows == 2 ? 0.125f : 0.0625f;  // with a single row, `one` and `two` are the same row
     for (std::int64_t x = 0; x < count; ++x) {
         const std::int64_t a = 2 * x, b = 2 * x + 1 < width ? 2 * x + 1 : a;
         known[x] = one[a] + one[b] + two[a] + two[b] > 0 ? 1.0f : 0.0f;
@@ -462,7 +467,7 @@ void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width,
     const float none = static_cast<float>(NAN);
     const float* FINGERFLOW_RESTRICT w = inside + y * width;
     const float *u = rows[0], *v = rows[1];
-    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement, which tells what is lost, last
+    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement, which decides what is lost, last
         float* to = rows[channel];
         if (channel >= 2) {
             float* FINGERFLOW_RESTRICT other = to;

@@ -1,3 +1,8 @@
+// Course of a flow: at each cell the value of a weighted plane fit of the flow in a window around it, and the departure
+// of the flow from it (fingerflow/ops/flow/flow_descent.py). The plane of the whole field is subtracted first.
+// Each plane follows from 12 moments: of the weight 1, x, y, xx, xy, yy; of u and v each 1, x, y.
+// Layout: moments are planes on cells of twice the size, (12, ceil(height / 2), ceil(width / 2)), averaged with the
+// window's weights along rows, then along columns; one cell a lane.
 #include "flow_course.h"
 
 
@@ -25,7 +30,7 @@ FlowPlane flow_plane(const double* sums) {
 
 FlowPlane flow_whole_plane(const FlowCells& field, int threads) {
     const std::int64_t width = field.width, area = field.height * width;
-    // Sums of rows, added in their order: the same on any number of threads.
+    // Sums of rows are added in order: the result does not depend on the number of threads.
     auto* const rows = static_cast<double*>(workspace<Keeper::kSums>(static_cast<std::size_t>(field.height * kFlowMoments) * sizeof(double)));
     for_rows(field.height, width, 1, threads, [&](std::int64_t y, float*) {
         double* const sums = rows + y * kFlowMoments;
@@ -49,7 +54,7 @@ void flow_departure(const FlowCells& field, const FlowWindow& window, float* dep
     const FlowPlane whole = flow_whole_plane(field, threads);
     const std::int64_t height = (field.height + 1) / 2, width = (field.width + 1) / 2, area = height * width;
     float *const wide = memory, *const means = memory + kFlowMoments * area;
-    // Moments, and their means along the rows.
+    // Moments and their window means along the rows.
     for_rows(height, 4 * kFlowMoments * width, (2 * kFlowMoments + 4) * width + 2 * window.half + 64, threads, [&](std::int64_t y, float* rows) {
         float *to[kFlowMoments], *const behind = rows + kFlowMoments * width;
         for (int k = 0; k < kFlowMoments; ++k) to[k] = rows + k * width;

@@ -1,4 +1,4 @@
-// The course of a flow, as fingerflow/ops/flow/flow_course.py has it.
+// Course of a flow: local plane fits (fingerflow/ops/flow/flow_course.py).
 #pragma once
 
 #include <cstdint>
@@ -7,22 +7,22 @@
 
 namespace fingerflow {
 
-// Weights of a window along a line: the middle one and `half` more.
+// Weights of a symmetric window along a line: the middle one and `half` more.
 struct FlowWindow {
     const float* weights;
     std::int64_t half;
 };
 
-// The plane that fits a field of two channels best where it is known; all cells count, as known tells.
+// Least-squares plane of a field of two channels, weighted by `known`.
 FlowPlane flow_whole_plane(const FlowCells& field, int threads);
 
-// Numbers of memory that `flow_departure` asks for.
+// Floats of memory that `flow_departure` needs.
 std::int64_t flow_departure_floats(std::int64_t height, std::int64_t width);
 
-// What a field (2, height, width) has beside its course, into two planes; the window is that of cells of twice the size.
+// Writes field (2, height, width) less its course to two planes; the window is on cells of twice the size.
 void flow_departure(const FlowCells& field, const FlowWindow& window, float* departure, float* memory, int threads);
 
-// Weighted means of a plane along rows and columns, by way of another plane.
+// Weighted sums of a plane along rows, then columns; `between` holds the intermediate plane.
 void flow_window(const float* from, const FlowWindow& window, std::int64_t height, std::int64_t width, float* between, float* to, int threads);
 
 }  // namespace fingerflow

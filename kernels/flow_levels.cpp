@@ -1,4 +1,9 @@
-// Dense flow: what is prepared of the structure tensor of a first image.
+// Dense flow: levels of the multigrid and covariance of the flow, from the structure tensor of the first image
+// (fingerflow/ops/flow/flow_descent.py, flow_covariance.py).
+// A coarser level averages tensors over 2 x 2 cells; its edge is 1/8 of the sum of the two edges across a border. Each
+// level stores the inverses of its diagonal blocks, (T + sum of edges)^-1.
+// Layout: planes of floats, row-major; symmetric tensors are three planes xx, xy, yy. `right` is one column narrower,
+// `down` one row lower than a plane. Threads share rows.
 #include <algorithm>
 
 #include "flow_levels_rows.h"

@@ -1,5 +1,7 @@
 // build: each instruction set, fused
-// One row at a time, as loops that compilers make vectors of.
+// Row loops of flow_levels.cpp: inverses of diagonal blocks, coarser levels, covariances.
+// Covariance from the eigenvalues k of the tensor: density / (4 pi alpha) * (1 - z e^z E1(z)) with z = rho^2 k / alpha.
+// Layout: one cell of a row a lane; logarithm, exponential and E1 are polynomials, so that they vectorize.
 #include "flow_levels_rows.h"
 
 #include <math.h>
@@ -11,7 +13,8 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// ln x of a normal number above 0: of its mantissa m in [2/3, 4/3) by the series of atanh((m - 1) / (m + 1)), to 2e-7.
+// ln x of a normal number above 0, by the series of atanh((m - 1) / (m + 1)) of its mantissa m in [2/3, 4/3); error
+// 2e-7.
 inline float logarithm(float x) {
     std::int32_t bits;
     memcpy(&bits, &x, sizeof bits);
@@ -23,13 +26,13 @@ inline float logarithm(float x) {
     return static_cast<float>(exponent) * 0.69314718f + 2 * s * (1 + z * (1 / 3.0f + z * (1 / 5.0f + z * (1 / 7.0f + z * (1 / 9.0f)))));
 }
 
-// e^x of 0 to 1, Taylor's series about 1/2, to 2e-7.
+// e^x for x in [0, 1], by the Taylor series about 1/2; error 2e-7.
 inline float exponential(float x) {
     const float t = x - 0.5f;
     return 1.6487213f * (1 + t * (1 + t * (1 / 2.0f + t * (1 / 6.0f + t * (1 / 24.0f + t * (1 / 120.0f + t * (1 / 720.0f)))))));
 }
 
-// As in fingerflow/ops/flow/flow_covariance.py: 1 - z e^z E1(z) for z > 0.
+// 1 - z e^z E1(z) for z > 0, approximated as in fingerflow/ops/flow/flow_covariance.py.
 inline float passed(float z) {
     const float small = z < 1 ? z : 1.0f;
     const float series = 0.99999193f + small * (-0.24991055f + small * (0.05519968f + small * (-0.00976004f + small * 0.00107857f)));
@@ -66,7 +69,7 @@ void flow_coarser_row(const FlowLevel& level, const FlowCoarser& coarser, float*
     const bool two = 2 * y + 1 < level.height;
     const std::int64_t at = 2 * y * width, next = two ? width : 0;
     const float share = two ? 1.0f : 0.0f;  // of the second row
-    // What lies beyond the border counts as 0.
+    // Cells beyond the border count as 0.
     const auto means = [&](const float* from, float* line, float* to) {
         const float *FINGERFLOW_RESTRICT one = from + at, *FINGERFLOW_RESTRICT other = one + next;
         float *FINGERFLOW_RESTRICT sum = line, *FINGERFLOW_RESTRICT mean = to + y * count;

@@ -1,4 +1,4 @@
-// Rows of what dense flow prepares of its structure tensor: the levels of its multigrid, and the covariance of noise.
+// Row loops of what dense flow prepares from the structure tensor: multigrid levels, and covariance (flow_levels.cpp).
 #pragma once
 
 #include <cstdint>
@@ -8,24 +8,24 @@
 
 namespace fingerflow {
 
-// Planes of a coarser level to be written.
+// Planes of a coarser level, which are written.
 struct FlowCoarser {
     float *tensor, *right, *down, *inside;
     std::int64_t height, width;
 };
 
-// Variance of noise and smoothing, as fingerflow/ops/flow/flow_covariance.py names them; the eigenvalue from which texture is known.
+// Noise density and smoothing (fingerflow/ops/flow/flow_covariance.py), and the least eigenvalue of textured cells.
 struct FlowNoise {
     float density, alpha, rho_square, textured;
 };
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Row y of the inverses of J + alpha deg, 0 where they are not known.
+    // Writes row y of (J + sum of edges)^-1, 0 where it is singular.
     void flow_inverse_row(const FlowLevel& level, const float* zeros, float* inverse, std::int64_t y);
-    // Row y of the level of twice the size. `memory` holds 4 rows of the finer one.
+    // Writes row y of the coarser level. `memory` has space for 4 rows of the finer one.
     void flow_coarser_row(const FlowLevel& level, const FlowCoarser& coarser, float* memory, std::int64_t y);
-    // Row of covariances xx, xy, yy of tensors xx, xy, yy.
+    // Writes a row of covariances xx, xy, yy from tensors xx, xy, yy.
     void flow_covariance_row(const float* const* tensor, const FlowNoise& noise, std::int64_t width, float* const* covariance);
 )
 // clang-format on

@@ -1,4 +1,4 @@
-// How dense flow shares its rows out to threads.
+// Division of the rows of dense flow among threads.
 #pragma once
 
 #include <algorithm>
@@ -10,11 +10,11 @@
 
 namespace fingerflow {
 
-// Calls work(y, memory) for the rows of a field, with room for `floats` numbers.
+// Calls work(y, memory) for each row of a field, with space for `floats` floats.
 template <class Work>
 void for_rows(std::int64_t height, std::int64_t width, std::int64_t floats, int threads, const Work& work) {
-    constexpr std::int64_t rows = 16;        // of a piece of work
-    constexpr std::int64_t worth_it = 8192;  // cells from which threads are asked to help
+    constexpr std::int64_t rows = 16;        // of a piece
+    constexpr std::int64_t worth_it = 8192;  // cells from which several threads are used
     const std::int64_t pieces = (height + rows - 1) / rows;
     const auto piece = [&](std::int64_t number) {
         auto* const memory = static_cast<float*>(workspace(static_cast<std::size_t>(floats) * sizeof(float)));

@@ -1,5 +1,8 @@
 // build: each instruction set, fused
-// One row at a time; the cells at either end of it by themselves, those between as vectors.
+// Row loops of flow.cpp: the operator T + L, damped block-Jacobi sweeps, transfers between levels, and warping.
+// L u at a cell: sum over its four neighbours of edge * (u - u_neighbour). Warping evaluates the cubic B-spline of the
+// coefficients with 4 x 4 taps.
+// Layout: one cell or pixel of a row a lane; the two ends of a row, which lack a neighbour, are computed separately.
 #include "flow_rows.h"
 
 #include <math.h>
@@ -10,7 +13,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// What one row of the operator reads; beyond the first and last row, weights of 0 and the row itself.
+// Pointers to the rows that the operator reads; beyond the border a row of zero weights and the row itself.
 struct Stencil {
     const float *FINGERFLOW_RESTRICT xx, *FINGERFLOW_RESTRICT xy, *FINGERFLOW_RESTRICT yy;
     const float *FINGERFLOW_RESTRICT right, *FINGERFLOW_RESTRICT up, *FINGERFLOW_RESTRICT down;
@@ -34,7 +37,7 @@ struct Stencil {
     }
 };
 
-// The operator, or its Laplacian alone, without the tensor.
+// The operator T + L at a cell, or L alone.
 template <bool tensor>
 inline void applied(const Stencil& s, std::int64_t x, float before, float after, std::int64_t left, std::int64_t right,
                     float& on_u, float& on_v) {
@@ -143,7 +146,7 @@ void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const Flo
                      std::int64_t y) {
     const std::int64_t cells = coarser.width, near = y / 2;
     const std::int64_t next = y % 2 ? (near + 1 < coarser.height ? near + 1 : near) : (near > 0 ? near - 1 : 0);
-    // A cell is repeated at either end.
+    // The end cells are repeated.
     float *FINGERFLOW_RESTRICT u = memory + 1, *FINGERFLOW_RESTRICT v = memory + cells + 3, *FINGERFLOW_RESTRICT share = memory + 2 * cells + 5;
     const float *FINGERFLOW_RESTRICT one = coarser.inside + near * cells, *FINGERFLOW_RESTRICT other = coarser.inside + next * cells;
     const float *FINGERFLOW_RESTRICT near_u = from.u + near * cells, *FINGERFLOW_RESTRICT next_u = from.u + next * cells;
@@ -197,6 +200,7 @@ void flow_add_row(const float* step, std::int64_t width, bool first, float* sum,
 
 namespace {
 
+// Weights of the cubic B-spline at a fraction of a pixel.
 inline void weights_of(float fraction, float (&weights)[4]) {
     const float rest = 1 - fraction, square = fraction * fraction, rest_square = rest * rest;
     weights[0] = rest_square * rest / 6;
@@ -211,16 +215,16 @@ inline std::int64_t within(std::int64_t value, std::int64_t count) { return valu
 
 void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v, float* values,
                    std::int64_t y) {
-    const float farthest = 1e6f;  // px: as far outside as anything
+    const float farthest = 1e6f;  // px, far outside any image
     for (std::int64_t begin = 0, end; begin < width; begin = end) {
-        // Pixels in a row whose displacements have one whole part: their taps lie side by side.
+        // A run of pixels whose displacements have the same integer part: their taps are contiguous.
         const float whole_u = floorf(u[begin]), whole_v = floorf(v[begin]);
         for (end = begin + 1; end < width && u[end] >= whole_u && u[end] < whole_u + 1 && v[end] >= whole_v && v[end] < whole_v + 1;) ++end;
         const auto right = static_cast<std::int64_t>(fminf(fmaxf(whole_u, -farthest), farthest)) - 1;
         const auto below = static_cast<std::int64_t>(fminf(fmaxf(whole_v, -farthest), farthest)) - 1;
         const float* lines[4];
         for (int k = 0; k < 4; ++k) lines[k] = coefficients + within(y + below + k, height) * width;
-        // The first and last of them whose taps all lie in the image.
+        // The range of the run whose taps all lie in the image.
         const std::int64_t first = begin + right < 0 ? (-right < end ? -right : end) : begin;
         const std::int64_t limit = width - 3 - right, last = limit < end ? (limit > first ? limit : first) : end;
         const auto slowly = [&](std::int64_t from, std::int64_t to) {

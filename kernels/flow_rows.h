@@ -1,5 +1,4 @@
-// Rows of the multigrid of dense flow, and of an image warped by it, as fingerflow/ops/flow/flow_multigrid.py and flow.py have
-// them.
+// Row loops of the multigrid of dense flow, A = J + L with tensor J and Laplacian L, and of warping (flow.cpp).
 #pragma once
 
 #include <cstdint>
@@ -8,13 +7,14 @@
 
 namespace fingerflow {
 
-// Operator on height x width cells: planes of tensor and inverse (3), right (height, width - 1), down (height - 1, width).
+// Operator on height x width cells: tensor and inverse are three planes, right (height, width - 1), down
+// (height - 1, width).
 struct FlowLevel {
     const float *tensor, *right, *down, *inverse, *inside;
     std::int64_t height, width;
 };
 
-// A field of two planes, one behind the other.
+// A field of two planes.
 struct FlowField {
     float* u;
     float* v;
@@ -22,23 +22,23 @@ struct FlowField {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // damping inverse r, the first sweep from 0.
+    // First sweep from 0: to = damping inverse r.
     void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y);
     // One sweep: to = from + damping inverse (r - A from).
     void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
                         float damping, const float* zeros, std::int64_t y);
-    // to = pull - J step - alpha L departure; step is null where it is 0.
+    // to = pull - J step - L departure; step is null where it is 0.
     void flow_left_over_row(const FlowLevel& level, const FlowField* step, const FlowField& departure, const float* pull,
                             const FlowField& to, const float* zeros, std::int64_t y);
-    // Means of 2 x 2 of r - A from: row y of the coarser level. `memory` holds 4 rows.
+    // Row y of the coarser right side: means over 2 x 2 cells of r - A from. `memory` has space for 4 rows.
     void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,
                            const FlowField& to, const float* zeros, float* memory, std::int64_t y);
-    // Adds what the coarser level has found. `memory` holds 3 rows of it, and 6 numbers.
+    // Adds the interpolated solution of the coarser level. `memory` has space for 3 rows of it and 6 floats.
     void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const FlowField& from, const FlowField& to,
                          float* memory, std::int64_t y);
-    // Adds a row of a cycle's step to what all have found (or begins with it), and to the flow.
+    // Adds a row of a cycle's step to the sum of all steps (or starts it) and to the flow.
     void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved);
-    // The spline with these coefficients (height, width) at (x + u, y + v), the border repeated.
+    // Row y of the spline of coefficients (height, width) at (x + u, y + v), the border repeated.
     void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v,
                        float* values, std::int64_t y);
 )

@@ -1,4 +1,7 @@
 // build: each instruction set
+// Means of 2 x 2 pixels, for the search in half resolution: ((a + c) + (b + d)) / 4 of the upper pixels a, b and the
+// lower ones c, d. The order of the sums is that of the portable op: results agree bit for bit.
+// Layout: one halved pixel a lane; results (height / 2, width / 2), contiguous.
 #include "halve_rows.h"
 
 #include "lanes.h"
@@ -7,7 +10,6 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// The order of the sums is that of the portable op.
 template <class Pixel>
 void halve(const Pixel* frame, const Frames& frames, std::int64_t top, std::int64_t bottom, float* halved) {
     const std::int64_t columns = frames.width / 2;

@@ -8,7 +8,7 @@ namespace fingerflow {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Rows from `top` to before `bottom` of `halved`, which is contiguous and width / 2 wide.
+    // Writes rows `top` to before `bottom` of `halved`, which is contiguous and width / 2 wide.
     void halve_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, float* halved);
 )
 // clang-format on

@@ -1,4 +1,7 @@
-// A quotient a pixel: frames cut into bands of rows, the bands shared out to threads.
+// Frames normalised by the illumination of the empty glass: (frame - black) / light, and where that is known
+// (fingerflow/ops/filters/illumination.py); elsewhere the quotient is 1.
+// Layout: quotients (floats) and known (bytes) are contiguous (batch, height, width). Frames are divided into bands of
+// at least 16 rows, which threads share.
 #include <algorithm>
 #include <cmath>
 
@@ -9,7 +12,7 @@
 namespace fingerflow {
 namespace {
 
-// In this order, and without a branch, so that the compiler makes vectors of it.
+// Without branches, so that the compiler vectorizes it.
 template <class Pixel>
 void divide(const Pixel* frame, const float* light, const float* black, float least, std::int64_t width, float* quotients,
             unsigned char* known) {

@@ -1,3 +1,6 @@
+// The instruction set in use: the widest whose features processor and operating system have
+// (instruction_features.h, written by generate_sets.py), or a narrower one for tests.
+// Layout: one atomic integer for the process, -1 until the first call.
 #include "instruction_sets.h"
 
 #include <atomic>
@@ -17,11 +20,11 @@ InstructionSet widest() {
 #if !defined(FINGERFLOW_X86)
     return kBaseline;
 #elif defined(_MSC_VER) && !defined(__clang__)
-    int of_1[4], of_7[4];  // registers a, b, c, d of leaves 1 and 7
+    int of_1[4], of_7[4];  // registers eax, ebx, ecx, edx of CPUID leaves 1 and 7
     __cpuid(of_7, 0);
     if (of_7[0] < 7) return kBaseline;
     __cpuid(of_1, 1);
-    if ((of_1[2] >> 27 & 1) == 0) return kBaseline;  // the operating system keeps no wide registers
+    if ((of_1[2] >> 27 & 1) == 0) return kBaseline;  // no OSXSAVE: the operating system does not save wide registers
     const unsigned long long kept = _xgetbv(0);
     __cpuidex(of_7, 7, 0);
     const bool ymm = (kept & 6) == 6, zmm = (kept & 0xe6) == 0xe6;

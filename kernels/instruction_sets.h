@@ -1,7 +1,7 @@
-// One library holds the hot loops compiled for several instruction sets and picks one when it runs.
+// Choice of the instruction set: one library holds the hot loops compiled for several sets and picks one at run time.
 //
-// A source of hot loops is compiled once a set, with FINGERFLOW_ISA naming the namespace of its code. Such a source
-// calls no template or inline function of the standard library: the linker keeps one copy of those for all sets.
+// A source of hot loops is compiled once for each set, in the namespace FINGERFLOW_ISA. It must not call inline or
+// template functions of the standard library, of which the linker keeps one copy for all sets.
 #pragma once
 
 #ifdef FINGERFLOW_X86

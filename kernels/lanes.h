@@ -1,4 +1,4 @@
-// What a loop needs so that every compiler turns it into vector code.
+// Keywords and types that let every compiler vectorize a loop.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
 
-// Loops run over whole vectors of the widest kind, so that none is left to be done one by one.
+// Loops run over whole vectors of the widest set, so that they have no scalar remainder.
 constexpr int kVectorBytes = 64;
 template <class Pixel>
 constexpr long kLanes = kVectorBytes / static_cast<long>(sizeof(Pixel));
@@ -31,7 +31,7 @@ inline long whole_lanes(long count) {
     return (count + kLanes<Pixel> - 1) / kLanes<Pixel> * kLanes<Pixel>;
 }
 
-// One value, or with AVX-512 a whole vector of them. The plain form leaves it to the compiler to make vectors of a loop.
+// One value, which the compiler vectorizes, or with AVX-512 a whole vector.
 template <class Pixel>
 struct Lanes {
     using Value = Pixel;
@@ -40,15 +40,15 @@ struct Lanes {
     static void store(Pixel* to, Value value) { *to = value; }
     static Value lesser(Value a, Value b) { return a < b ? a : b; }
     static Value greater(Value a, Value b) { return a > b ? a : b; }
-    // How far a lies above b, or 0; minimum and maximum from it.
+    // In vectors excess is max(a - b, 0), from which minimum and maximum follow.
     static Value excess(Value a, Value) { return a; }
     static Value lesser(Value a, Value b, Value) { return lesser(a, b); }
     static Value greater(Value a, Value b, Value) { return greater(a, b); }
 };
 
 #ifdef __AVX512BW__
-// Intel's processors have one port for the minimum of 64 bytes and two for their sum: some pairs of a minimum and a
-// maximum go by three sums, as many as keep both ports busy.
+// Intel processors have one port for minima of 64 bytes and two for sums: a share of the pairs of minimum and maximum
+// is computed by a saturating difference and two sums, so that both ports are busy.
 struct Wide {
     using Value = __m512i;
     static Value load(const void* from) { return _mm512_loadu_si512(from); }

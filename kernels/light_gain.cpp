@@ -1,4 +1,8 @@
-// Quotients of blocks, and their uppermost mode, as fingerflow/ops/contact/light_gain.py has it: some thousand numbers a frame.
+// Illumination gain of each frame (fingerflow/ops/contact/light_gain.py): the uppermost mode of the quotients
+// sum(frame - black) / sum(light) of blocks of side x side px. It is found by four means within a shrinking width
+// around the kTop quantile, and is NaN where too few blocks lie at the mode or too many just below it.
+// Layout: every kStep-th line is read; `Blocks` holds four arrays of (rows of blocks, columns of blocks) floats a
+// frame. A row of blocks of all frames is one piece for a thread.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -18,7 +22,7 @@ constexpr std::int64_t kStep = 4;
 constexpr float kRough = 0.15f, kLit = 0.25f, kMost = 1.4f, kLeast = 0.7f, kTop = 0.03f, kNarrow = 0.02f, kBeside = 0.06f;
 constexpr float kWidths[] = {0.04f, 0.02f, 0.01f, 0.01f};
 
-// Sums over the pixels of blocks that are lit, as `LitColumns` has them.
+// Sums over the lit pixels of each block, of the quantities of `LitColumns`.
 struct Blocks {
     std::vector<float> passed, light, passed_squared, light_squared;
     explicit Blocks(std::size_t count) : passed(count), light(count), passed_squared(count), light_squared(count) {}
@@ -39,7 +43,7 @@ float uppermost_mode(const Blocks& blocks) {
     const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(kTop) * static_cast<double>(sorted.size())));
     std::nth_element(sorted.begin(), sorted.begin() + (kept - 1), sorted.end(), std::greater<float>());
     float gain = sorted[static_cast<std::size_t>(kept - 1)];
-    quotients.resize((quotients.size() + 15) / 16 * 16);  // zeros, which lie within no width of what is above zero
+    quotients.resize((quotients.size() + 15) / 16 * 16);  // padding by zeros, which lie within no width of a gain above zero
     for (const float width : kWidths)
         gain = FINGERFLOW_PICK(mean_within)(quotients.data(), static_cast<std::int64_t>(quotients.size()), gain, width * gain);
     std::int64_t glass = 0, beside = 0;
@@ -68,7 +72,7 @@ void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side
         return;
     }
     std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
-    // A row of blocks of all frames at a time, so that its light of the empty glass is read once for all of them.
+    // A row of blocks of all frames at a time, so that the empty glass is read once for all of them.
     parallel_for(down, threads, [&](std::int64_t row) {
         const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
         auto* const memory = static_cast<float*>(workspace(4 * bytes));

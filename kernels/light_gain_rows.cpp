@@ -1,4 +1,8 @@
 // build: each instruction set, fused
+// Row loops of light_gain.cpp: sums by column over the lit pixels of lines, sums of blocks, and the mean of the
+// quotients within a width of a value.
+// Layout: one column a lane; four rows of floats hold frame - black, light and their squares. `numbers` of mean_within
+// is a multiple of the vector length.
 #include "light_gain_rows.h"
 
 #include <float.h>
@@ -41,7 +45,7 @@ void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std:
 }
 
 void sum_blocks(float* numbers, std::int64_t blocks, std::int64_t side, float* sums) {
-    // Pairs of neighbours, as often as that goes: whole vectors.
+    // Adds pairs of neighbours as long as `side` is even, which vectorizes.
     for (; side % 2 == 0; side /= 2) {
         const std::int64_t count = blocks * side / 2;
         FINGERFLOW_INDEPENDENT

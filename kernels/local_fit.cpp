@@ -1,5 +1,9 @@
-// Weighted linear fits around queries. Queries that lie near each other go together, so that few points beyond the
-// radius are looked at.
+// Weighted local linear fits around queries (fingerflow/ops/fields/local_fit.py): value, gradient and covariance of a
+// plane with weights (1 - r^2 / radius^2)^2.
+// Queries near each other go in one block, so that few points beyond the radius are visited.
+// Layout: a record of a frame and point is [1 if usable, values less their mean, noise], contiguous; an unusable one is
+// zero. Blocks hold kFitBlock queries, one a lane (local_fit_block.h). Where all frames share points and queries, so do
+// they the blocks.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -81,14 +85,14 @@ private:
         return part(given_.queries, given_.queries_batch, frame, 2 * given_.query_count);
     }
 
-    // Writes the records and the level of a frame.
+    // Writes the records of a frame and the means (levels) of its values.
     void record(std::int64_t frame) {
         const std::int64_t count = given_.point_count, components = given_.components, noises = given_.noises;
         const Real* const place = points(frame);
         const Real* const values = part(given_.values, given_.values_batch, frame, count * components);
         const Real* const noise = part(given_.noise, given_.noise_batch, frame, count * noises);
         Real* const records = records_.data() + frame * count * fields_;
-        const std::int64_t own = noises == 1 ? 1 : components + 1;  // steps from one component's variance to the next
+        const std::int64_t own = noises == 1 ? 1 : components + 1;  // step from one component's variance to the next
         std::vector<double> sums(size(components));
         std::int64_t usable = 0;
         for (std::int64_t k = 0; k < count; ++k) {
@@ -104,7 +108,7 @@ private:
             for (std::int64_t c = 0; c < components; ++c) sums[size(c)] += static_cast<double>(value[c]);
         }
         for (std::int64_t c = 0; c < components; ++c) {
-            // A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+            // Subtracting the mean does not change the slope of the plane and keeps its significant digits.
             const auto level = static_cast<Real>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
             levels_[size(frame * components + c)] = level;
             for (Real* to = records; to < records + count * fields_; to += fields_)
@@ -120,7 +124,7 @@ private:
         return 1;
     }
 
-    // Of a geometry; writes the results of queries that are nowhere.
+    // Sorts the points and queries of a geometry into cells; writes NaN for queries that are not finite.
     Cloud<Real> cloud_of(std::int64_t geometry) {
         Cloud<Real> cloud(points(geometry), given_.point_count, queries(geometry), given_.query_count);
         if (static_cast<std::int64_t>(cloud.queries().size()) < given_.query_count) {
@@ -171,7 +175,7 @@ private:
     const std::int64_t fields_;
     std::vector<Real> records_, levels_;
     std::vector<unsigned char> same_usable_;
-    const FitFrames<Real> frames_;  // without what differs between the geometries
+    const FitFrames<Real> frames_;  // without the pointers that differ between geometries
 };
 
 }  // namespace

@@ -1,4 +1,10 @@
 // build: each instruction set, fused
+// Weighted linear fits around kFitBlock queries at once (local_fit.cpp, deformation.cpp).
+// Sums of w = (1 - r^2 / radius^2)^2 times 1, dx, dy, dx dx, dx dy, dy dy and times the values give mean, gradient
+// (second moments inverted) and value at the query; w^2 times the noise gives the sandwich covariance M^-1 (sum w^2 s x
+// x') M^-1.
+// Layout: one query a lane, arrays [quantity][kFitBlock]; records of points are read by all lanes. Weights of
+// candidates are (candidates, kFitWeights, kFitBlock).
 #include "local_fit_block.h"
 
 #include <math.h>
@@ -12,7 +18,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// A register of either number type: sums stay in it.
+// One vector register of floats or doubles, in which sums stay.
 template <class Real>
 constexpr int kWide = 4 * kFloats / static_cast<int>(sizeof(Real));
 #if defined(__GNUC__) || defined(__clang__)
@@ -76,7 +82,7 @@ void weigh(const FitBlock<Real>& block, Real radius, Real* FINGERFLOW_RESTRICT w
     }
 }
 
-// The points of a block as one frame has them.
+// The candidate points of a block with their records of one frame.
 template <class Real>
 struct Candidates {
     const std::int64_t* point;
@@ -89,7 +95,7 @@ void write_sums(const Wide<Real> (&sums)[kSums], int first, Real* to) {
     for (int s = 0; s < kSums; ++s) std::memcpy(to + s * kFitBlock + first, &sums[s], sizeof sums[s]);
 }
 
-// All weights times whether a point is usable, (kFitWeights, kFitBlock).
+// Sums of all weights over the usable points, (kFitWeights, kFitBlock).
 template <class Real>
 void sum_usable(const Candidates<Real>& candidates, Real* to) {
     for (int first = 0; first < kFitBlock; first += kWide<Real>) {
@@ -104,8 +110,8 @@ void sum_usable(const Candidates<Real>& candidates, Real* to) {
     }
 }
 
-// w, w dx, w dy times some fields of the records, and of those `frame_step` numbers later, (kFrames, kFields, 3, kFitBlock):
-// four at a time, for which weights are loaded once.
+// Sums of w, w dx, w dy times kFields fields of the records, and of kFrames frames `frame_step` numbers apart:
+// (kFrames, kFields, 3, kFitBlock). Up to four are summed at a time, so that weights are loaded once for them.
 template <int kFields, int kFrames, class Real>
 void sum_values(const Candidates<Real>& candidates, std::int64_t field, std::int64_t frame_step, Real* to) {
     for (int first = 0; first < kFitBlock; first += kWide<Real>) {
@@ -127,7 +133,7 @@ void sum_values(const Candidates<Real>& candidates, std::int64_t field, std::int
     }
 }
 
-// w^2 times 1, dx, dy, dx dx, dx dy, dy dy times a field of the records, (6, kFitBlock).
+// Sums of w^2 times 1, dx, dy, dx dx, dx dy, dy dy times a field of the records, (6, kFitBlock).
 template <class Real>
 void sum_noise(const Candidates<Real>& candidates, std::int64_t field, Real* to) {
     for (int first = 0; first < kFitBlock; first += kWide<Real>) {
@@ -151,7 +157,7 @@ void sum_noise(const Candidates<Real>& candidates, std::int64_t field, Real* to)
 
 #if defined(__GNUC__) || defined(__clang__)
 #define FINGERFLOW_AT_ONCE
-// Of a single frame: sums as `sum_usable` and `sum_values` have them, of weights that no memory has to hold.
+// The sums of `sum_usable` and `sum_values` for a single frame, without weights in memory: a third of the time.
 template <int kValues, class Real>
 void weigh_and_sum(const FitBlock<Real>& block, const FitFrames<Real>& frames, Real* usable_to, Real* values_to) {
     using Many = Wide<Real>;
@@ -187,11 +193,11 @@ void weigh_and_sum(const FitBlock<Real>& block, const FitFrames<Real>& frames, R
 }
 #endif
 
-// What the usable points around each query of a block tell, whatever their values are.
+// Geometry of the usable points around each query, independent of their values.
 template <class Real>
 struct Geometry {
-    Real mass[kFitBlock], x[kFitBlock], y[kFitBlock];  // place of the weighted centroid, from the query
-    Real inverse_xx[kFitBlock], inverse_xy[kFitBlock], inverse_yy[kFitBlock];  // of the second moments about it
+    Real mass[kFitBlock], x[kFitBlock], y[kFitBlock];  // weighted centroid relative to the query
+    Real inverse_xx[kFitBlock], inverse_xy[kFitBlock], inverse_yy[kFitBlock];  // of the second moments about the centroid
     Real nothing[kFitBlock];  // 0, or NaN where the points determine no plane
     Real offset[kFitBlock];
     std::int64_t points[kFitBlock];
@@ -239,7 +245,7 @@ void solve(const Geometry<Real>& at, const Real* sums, Real level, Real (&value)
     }
 }
 
-// The sandwich, xx, xy and yy, of a variance from its sums (6, kFitBlock): moved to the centroid, between two inverses.
+// Sandwich covariance xx, xy, yy of the gradient from the sums of a variance (6, kFitBlock), shifted to the centroid.
 template <class Real>
 void sandwich(const Geometry<Real>& at, const Real* sums, Real (&result)[3][kFitBlock]) {
     FINGERFLOW_INDEPENDENT
@@ -273,7 +279,7 @@ void write_covariance(const FitFrames<Real>& frames, const FitBlock<Real>& block
             to[2 * components + 1] = pairs[2][q];
         }
     };
-    if (frames.noises == 1) {  // one variance: components have it in common and are independent
+    if (frames.noises == 1) {  // one common variance: components are independent
         for (int q = 0; q < block.queries; ++q)
             for (std::int64_t k = 0; k < size; ++k)
                 covariance[block.query[q] * size + k] = at.nothing[q];
@@ -309,7 +315,7 @@ void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real*
     }
     Geometry<Real> at(usable, frames);
     const std::int64_t frame_step = frames.points * fields;
-    bool known = at_once;  // whether values were summed already, with those of the frame before
+    bool known = at_once;  // whether values were already summed with those of the previous frame
     for (std::int64_t frame = 0; frame < frames.count; ++frame) {
         candidates.records = frames.records + frame * frame_step;
         if (frame > 0 && !frames.same_usable[frame]) {

@@ -1,4 +1,5 @@
-// Points in cells and queries in blocks of neighbours, for local fits: so that few points beyond the radius are visited.
+// Sorting of points into cells and of queries into blocks of neighbours, so that local fits visit few points beyond the
+// radius.
 #pragma once
 
 #include <algorithm>
@@ -23,7 +24,7 @@ struct Place {
     std::int64_t number;
 };
 
-// The finite ones of places (count, 2).
+// The finite positions of (count, 2), with their indices.
 template <class Real>
 std::vector<Place<Real>> finite_of(const Real* places, std::int64_t count) {
     std::vector<Place<Real>> result;
@@ -33,7 +34,7 @@ std::vector<Place<Real>> finite_of(const Real* places, std::int64_t count) {
     return result;
 }
 
-// Which of `count` equal intervals between two numbers another lies in; the first or the last one beyond them.
+// Division of [low, high] into `count` equal intervals; numbers beyond belong to the first or the last one.
 class Intervals {
 public:
     Intervals() = default;
@@ -49,7 +50,7 @@ private:
     std::int64_t last_ = 0;
 };
 
-// Orders what lies between two pointers by a number 0 ... bins - 1 of each; returns where each bin begins, and the end.
+// Counting sort of the items by bin 0 ... bins - 1; returns where each bin begins, and the end.
 template <class Item, class BinOf>
 std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins, const BinOf& bin_of) {
     std::vector<std::int64_t> bin(size(end - begin)), starts(size(bins + 1));
@@ -61,8 +62,8 @@ std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins
     return starts;
 }
 
-// Where all but a hundredth of places at either end lie along an axis: one that is far away must not leave the others in
-// one bin.
+// Range of positions along an axis without the outer hundredth at either end: a single distant position must not put
+// all others into one bin.
 struct Extent {
     double low = 0, high = 0;
     Intervals cut(std::int64_t count) const { return {low, high, count}; }
@@ -91,7 +92,7 @@ struct Box {
     }
 };
 
-// Points of one geometry, in square cells; queries in bands by y, in a band by x.
+// Points of one geometry in a grid of cells; queries sorted by bands of y, within a band by x.
 template <class Real>
 class Cloud {
 public:
@@ -112,7 +113,7 @@ public:
         const auto end = static_cast<std::int64_t>(queries_.size());
         const Intervals by_x = across.cut(kFine), by_y = down.cut(kFine);
         order_by_bin(queries, queries + end, kFine, [&](const Place<Real>& place) { return by_y.of(place.y); });
-        // So many queries that a block of neighbours by x is about as wide as the band is high.
+        // Queries a band, chosen so that a block is about as wide as the band is high.
         const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
         for (std::int64_t first = 0; first < end; first += band)
             order_by_bin(queries + first, queries + std::min(end, first + band), kFine,
@@ -121,7 +122,7 @@ public:
 
     const std::vector<Place<Real>>& queries() const { return queries_; }
 
-    // Calls act(place) for every point that may lie within `radius` of a box, and some more.
+    // Calls act(place) for every point within `radius` of a box, and for some more.
     template <class Act>
     void around(const Box& box, double radius, const Act& act) const {
         const std::int64_t left = columns_.of(box.low_x - radius), right = columns_.of(box.high_x + radius);
@@ -134,7 +135,7 @@ public:
 
 private:
     static constexpr std::int64_t kFine = 256;
-    // A cell holds a few points, so that rows of cells are not too many.
+    // Cells a side: about two points a cell.
     static std::int64_t side(std::size_t points) {
         return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::sqrt(static_cast<double>(points) / 2)));
     }
@@ -150,8 +151,8 @@ std::int64_t fit_blocks_of(const Cloud<Real>& cloud) {
     return (static_cast<std::int64_t>(cloud.queries().size()) + kFitBlock - 1) / kFitBlock;
 }
 
-// A block of queries by its number, and the points that may lie within the radius of one of them: their numbers and
-// positions are written to `point`, `x` and `y`, which have room for all points.
+// Block `number` of queries and its candidates, whose indices and positions are written to `point`, `x` and `y`, which
+// have space for all points.
 template <class Real>
 FitBlock<Real> fit_block_of(const Cloud<Real>& cloud, std::int64_t number, double radius, std::int64_t* point, Real* x, Real* y) {
     const std::int64_t first = number * kFitBlock;
@@ -167,7 +168,7 @@ FitBlock<Real> fit_block_of(const Cloud<Real>& cloud, std::int64_t number, doubl
         box.add(query.x, query.y);
     }
 
-    radius *= 1 + 1e-5;  // the block decides with the rounding of its number type
+    radius *= 1 + 1e-5;  // a margin for rounding: the block decides in its own number type
     std::int64_t candidates = 0;
     cloud.around(box, radius, [&](const Place<Real>& place) {
         const double dx = std::max(0.0, std::max(box.low_x - place.x, place.x - box.high_x));

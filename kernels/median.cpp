@@ -1,4 +1,7 @@
-// Frames cut into bands of rows, the bands shared out to threads.
+// Medians of size x size windows (fingerflow/ops/filters/median.py): frames divided into bands of rows that threads
+// share. The networks of minima and maxima run in median_band.cpp.
+// Layout: pixels of 8 or 16 bit; a band and its kept planes fit into a second-level cache, and its rows are a multiple
+// of 8.
 #include <algorithm>
 #include <stdexcept>
 
@@ -12,8 +15,8 @@ void fingerflow_median(const void* frames, void* medians, std::int64_t batch, st
     using namespace fingerflow;
     if (batch * height * width == 0) return;
 
-    // Bands small enough for a second-level cache and for all threads, but not low beside a window, since each reads
-    // the lines of half a window above and below it.
+    // Bands fit into a second-level cache and occupy all threads, but have at least four windows of rows, since each
+    // band also reads half a window above and below it.
     const std::int64_t cached = std::max<std::int64_t>(1, (256 * 1024) / (width * pixel_bytes));
     const std::int64_t shared = (height * batch + threads - 1) / threads;
     const std::int64_t most = std::max<std::int64_t>(4 * size, std::min(cached, shared));

@@ -1,5 +1,10 @@
 // build: each instruction set
-// Medians by the generated networks: down strips of a band, one row of tiles after the other.
+// Medians of a band of rows, by networks of minima and maxima: compiled ones (median_networks.h, written by
+// generate_median.py) for small windows, for others a table of steps (fingerflow/kernels/median_rows.py).
+// A network works on planes with one value a tile of 1 x 1 to 8 x 2 pixels; it goes down a strip of the band, one row
+// of tiles after the other, and keeps of each plane only the rows that later steps read.
+// Layout: one tile a lane. Lines of the frame are padded by half a window and, for tiles of two columns, split into
+// even and odd columns. Workspace: rings of kept rows, scratch slots, one line, the prepared lines.
 #include "median_band.h"
 
 #include <cstring>
@@ -10,18 +15,18 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// Between the beginnings of two slots. An odd number of cache lines, so that slots fall into all sets of a cache.
+// Distance between slots in bytes: an odd number of cache lines, so that slots spread over all sets of a cache.
 constexpr long kSlotBytes = 704;
 
-// Enough for windows of 31 x 31.
+// Limits for windows of up to 31 x 31.
 constexpr long kMostLines = 96, kMostPlanes = 6000;
 
 #include "median_networks.h"
 
-// What leads a network down a frame; see fingerflow/kernels/median_rows.py.
+// Constants of a network (fingerflow/kernels/median_rows.py).
 struct Shape {
-    long half, rows, columns;      // of the window; of a tile, in pixels
-    long reach, warm_up, lines;    // tiles read to the right; rows of tiles done ahead; lines of the frame read
+    long half, rows, columns;      // half the window; tile size in pixels
+    long reach, warm_up, lines;    // tiles read to the right; rows of tiles computed ahead; frame lines read
     const std::uint16_t* outputs;  // scratch slots of the medians
     long kept_slots, scratch_slots;
     long slot_bytes;  // between the beginnings of two slots
@@ -32,15 +37,15 @@ struct Shape {
         return slot_bytes / static_cast<long>(sizeof(Pixel));
     }
     template <class Pixel>
-    long pitch(long width) const {  // of a prepared line
+    long pitch(long width) const {  // pixels between prepared lines
         return whole_lanes<Pixel>((width + columns - 1) / columns + reach + kLanes<Pixel>);
     }
 };
 
 template <class Pixel, class Network>
 Shape compiled_shape() {
-    // The slots in use stay in a first-level cache of 32 KiB. A strip reads a few tiles more than it writes, so that wide
-    // ones are better as far as they fit.
+    // The slots in use stay in a first-level cache of 32 KiB. Since a strip reads a few tiles more than it writes, it
+    // is as wide as fits.
     constexpr long slots = Network::kAges * Network::kRingSlots + Network::kScratchSlots;
     constexpr long fitting = 28 * 1024 / kVectorBytes / slots, most = kSlotBytes / kVectorBytes;
     constexpr long vectors = fitting < 1 ? 1 : fitting < most ? fitting : most;
@@ -63,7 +68,7 @@ struct Step {
     std::uint16_t kind, minimum, maximum, left, right, columns;
 };
 
-// A network that was not compiled, as `median_table` writes it.
+// An interpreted network, from the table that `median_table` writes.
 struct Table {
     Shape shape;
     const std::uint16_t* kept_rows;
@@ -90,7 +95,7 @@ Table read_table(const std::uint16_t* numbers, int size, long width) {
     table.kept_rows = shape.outputs + shape.rows * shape.columns;
     for (long plane = 0; plane < table.kept_planes; ++plane) shape.kept_slots += table.kept_rows[plane];
     table.steps = reinterpret_cast<const Step*>(table.kept_rows + table.kept_planes);
-    // Whole lines where they are not too long, since each step takes its time to begin.
+    // Strips of up to 16 vectors, since each interpreted step has a fixed cost.
     const long most = 16, wanted = shape.pitch<Pixel>(width) / kLanes<Pixel>, vectors = wanted < most ? wanted : most;
     shape.slot_bytes = (vectors | 1) * kVectorBytes;
     shape.strip = vectors * kLanes<Pixel> - shape.reach;
@@ -154,7 +159,7 @@ void join_pairs(const Pixel* FINGERFLOW_RESTRICT left, const Pixel* FINGERFLOW_R
         pairs[x] = static_cast<Word>(left[x] | static_cast<Word>(right[x]) << 8 * sizeof(Pixel));
 }
 
-// `count` pixels of a row of the frame from half a window left of it on; beyond the frame the nearest pixel counts.
+// Copies `count` pixels of a row, beginning half a window left of it; beyond the frame the edge pixel is repeated.
 template <class Pixel>
 void pad_line(const Pixel* row, long width, long half, long count, Pixel* line) {
     for (long x = 0; x < half; ++x) line[x] = row[0];
@@ -162,7 +167,7 @@ void pad_line(const Pixel* row, long width, long half, long count, Pixel* line) 
     for (long x = half + width; x < count; ++x) line[x] = row[width - 1];
 }
 
-// Calls run(n, lines, slots, tiles) for the row of tiles n of every strip; `slots` begins with what is kept.
+// Calls run(n, lines, slots, tiles) for each row of tiles n of each strip; `slots` begins with the kept rows.
 template <class Pixel, class Run>
 void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace, Run run) {
     const long rows = shape.rows, columns = shape.columns, width = band.width;
@@ -174,7 +179,7 @@ void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const Median
     Pixel* const prepared = line + columns * pitch;
     auto* const pairs = reinterpret_cast<typename Pair<Pixel>::Word*>(line);
 
-    // Every line that the band's windows cover, its even and odd columns apart.
+    // Prepares every line that the band's windows cover.
     const long first = band.top - shape.half, tile_rows = (band.bottom - band.top + rows - 1) / rows;
     for (long n = 0; n < (tile_rows + shape.warm_up) * rows; ++n) {
         const long y = first + n < 0 ? 0 : first + n >= band.height ? band.height - 1 : first + n;
@@ -191,7 +196,7 @@ void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const Median
         const long count = strip < tiles - left ? strip : tiles - left;
         const long pixels = count * columns < width - left * columns ? count * columns : width - left * columns;
         for (long n = -shape.warm_up; n < tile_rows; ++n) {
-            // What a row above the first one reads before the band's lines begin is never used.
+            // Values that warm-up rows read before the first line are never used: any line serves.
             for (long l = 0; l < shape.lines * columns; ++l) {
                 const long at = n * rows * columns + l;
                 lines[l] = prepared + (at < 0 ? 0 : at) * pitch + left;
@@ -240,7 +245,7 @@ void filter_by_table(const Table& table, const Pixel* frame, Pixel* medians, con
            });
 }
 
-// Calls use(pixel, network) with a pixel of the type and the compiled network of the size; false where there is none.
+// Calls use(pixel, network) with the pixel type and the compiled network of a size; false if there is none.
 template <class Use>
 bool with_network(int pixel_bytes, int size, Use use) {
     const auto of_pixel = [&](auto pixel) {

@@ -1,4 +1,4 @@
-// Medians of some rows of one frame, the piece of work of one thread.
+// Medians of a band of rows of one frame, the piece of one thread (median_band.cpp).
 #pragma once
 
 #include <cstdint>
@@ -14,14 +14,14 @@ struct MedianBand {
 
 struct MedianKind {
     int pixel_bytes, size;
-    const std::uint16_t* table;  // of a network that was not compiled, else null
+    const std::uint16_t* table;  // of an interpreted network, else null
 };
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Of a workspace, aligned to 64, for so many rows of a frame; 0 where there is no compiled network for the size.
+    // Bytes of the workspace, aligned to 64, for `rows` rows; 0 if the size has no compiled network and no table.
     std::int64_t median_workspace_bytes(const MedianKind& kind, std::int64_t rows, std::int64_t width);
-    // `frame` and `medians` are of the whole frame; `medians` is contiguous.
+    // `frame` and `medians` point to the whole frame; `medians` is contiguous.
     void median_band(const MedianKind& kind, const void* frame, void* medians, const MedianBand& band, void* workspace);
 )
 // clang-format on

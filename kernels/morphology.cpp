@@ -1,3 +1,6 @@
+// Dilation of masks, or erosion as dilation of the background (fingerflow/ops/filters/morphology.py).
+// The element is symmetric, given by the half widths of its 2 radius + 1 rows.
+// Layout: masks and results are bytes, results contiguous. Frames are divided into bands of rows that threads share.
 #include <algorithm>
 
 #include "interface.h"

@@ -1,5 +1,8 @@
 // build: each instruction set
-// Each line of the mask is widened step by step, and every width is added to the lines that it reaches.
+// Dilation of some rows of a mask: each line is widened pixel by pixel, and each width is ORed into the lines that the
+// element's row of that half width reaches.
+// Layout: one pixel a lane, bytes of 0 or 1; a ring of 2 radius + 1 result lines, then two lines with background at
+// both ends.
 #include "morphology_rows.h"
 
 #include <string.h>
@@ -22,7 +25,7 @@ void dilate_rows(const Frames& masks, std::int64_t frame, std::int64_t top, std:
     for (std::int64_t y = top - radius; y < bottom + radius; ++y) {
         memset(sum_of(y + radius), 0, static_cast<std::size_t>(width));
         if (y >= 0 && y < masks.height) {
-            // The line of the mask with background to both sides of it.
+            // The line of the mask with background at both ends.
             const unsigned char* FINGERFLOW_RESTRICT row = mask + y * masks.row_stride;
             memset(widened, 0, static_cast<std::size_t>(pitch));
             for (std::int64_t x = 0; x < width; ++x) widened[radius + x] = static_cast<unsigned char>((row[x] != 0) ^ invert);

@@ -1,3 +1,7 @@
+// Mean absolute response of frames to the noise mask [1 -2 1]' [1 -2 1] (fingerflow/ops/filters/noise.py), from which
+// follows the standard deviation of white noise. Every fourth row of a high frame is read.
+// Layout: pieces of 32 read rows; sums and counts of pieces are added in order, so that threads do not change the
+// result.
 #include <algorithm>
 #include <vector>
 
@@ -11,7 +15,6 @@ void fingerflow_mean_response(const void* frames, double* means, std::int64_t ba
                               int threads) {
     using namespace fingerflow;
     const Frames given{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)};
-    // As fingerflow/ops/filters/noise.py has it: every fourth row of a high frame.
     const std::int64_t step = std::max<std::int64_t>(1, std::min<std::int64_t>(4, height / 64));
     const std::int64_t rows = 32 * step, pieces = (height - 2 + rows - 1) / rows;
     const auto respond = FINGERFLOW_PICK(noise_rows);
@@ -28,6 +31,6 @@ void fingerflow_mean_response(const void* frames, double* means, std::int64_t ba
             sum += found[static_cast<std::size_t>(piece)].sum;
             count += found[static_cast<std::size_t>(piece)].count;
         }
-        means[frame] = sum / static_cast<double>(count);  // without a finite one: 0 / 0
+        means[frame] = sum / static_cast<double>(count);  // NaN if no response is finite
     }
 }

@@ -1,4 +1,8 @@
 // build: each instruction set
+// Sums of |response| along rows, the response being [1 -2 1] applied down and along: integer pixels exactly, floats in
+// float lanes; a row with a sum that is not finite is summed again over its finite responses.
+// Layout: `line` holds the vertical responses of one row; 32 lanes of short sums, added to 8 doubles before they
+// overflow.
 #include "noise_rows.h"
 
 #include <math.h>
@@ -9,7 +13,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// How many responses of a line are finite, and their sum.
+// Counts the finite responses of a line and sums their absolute values.
 template <class Number>
 std::int64_t finite_ones(const Number* line, std::int64_t width, double* sum) {
     std::int64_t count = 0;
@@ -24,7 +28,7 @@ std::int64_t finite_ones(const Number* line, std::int64_t width, double* sum) {
     return count;
 }
 
-// Responses of whole numbers are exact: 8 |pixel| at most. `kSteps` of them fit into a short sum.
+// Types in which responses of integers are exact (at most 8 times the pixel); `kSteps` of them fit into a sum.
 template <class Pixel>
 struct Exact {
     using Response = float;
@@ -44,7 +48,7 @@ struct Exact<std::uint16_t> {
     static constexpr std::int64_t kSteps = 1 << 12;
 };
 
-// [1 -2 1], with and without its sign.
+// [1 -2 1], signed and absolute.
 template <class Number>
 Number second_difference(Number before, Number here, Number behind) {
     return static_cast<Number>(static_cast<Number>(before + behind) - static_cast<Number>(2 * here));
@@ -60,7 +64,7 @@ void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::in
              Responses* responses) {
     using Response = typename Exact<Pixel>::Response;
     using Sum = typename Exact<Pixel>::Sum;
-    constexpr int kSums = 32, kTotals = 8;  // side by side: vectors, and short sums
+    constexpr int kSums = 32, kTotals = 8;  // lanes of sums, and of their double totals
     Response* FINGERFLOW_RESTRICT line = static_cast<Response*>(memory);
     const std::int64_t width = frames.width, responded = width - 2;
     for (std::int64_t y = top; y < bottom; y += step) {
@@ -77,7 +81,7 @@ void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::in
             for (std::int64_t added = 0; added < Exact<Pixel>::kSteps && x + kSums <= responded; ++added, x += kSums)
                 for (int k = 0; k < kSums; ++k)
                     sums[k] = static_cast<Sum>(sums[k] + response<Sum>(line[x + k], line[x + k + 1], line[x + k + 2]));
-            const std::int64_t last = responded - kSums, seen = x - last;  // the last ones again, without those seen already
+            const std::int64_t last = responded - kSums, seen = x - last;  // the last vector again, without the responses already added
             if (seen > 0 && seen < kSums) {
                 for (int k = 0; k < kSums; ++k)
                     sums[k] = static_cast<Sum>(sums[k] + (k < seen ? Sum{0} : response<Sum>(line[last + k], line[last + k + 1], line[last + k + 2])));

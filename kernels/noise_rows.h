@@ -1,4 +1,4 @@
-// Responses of the mask [1 -2 1]^T [1 -2 1] on some rows of one frame.
+// Responses of the mask [1 -2 1]' [1 -2 1] on some rows of one frame (noise.cpp).
 #pragma once
 
 #include "instruction_sets.h"
@@ -7,13 +7,14 @@
 namespace fingerflow {
 
 struct Responses {
-    double sum;          // of the finite ones, without their signs
-    std::int64_t count;  // of the finite ones
+    double sum;          // of the absolute values of finite responses
+    std::int64_t count;  // of finite responses
 };
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // `line` holds 4 width bytes; the masks whose middle lies on every `step`-th row from `top` to before `bottom`.
+    // Adds the responses centred on every `step`-th row from `top` to before `bottom`. `line` has space for 4 width
+    // bytes.
     void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, std::int64_t step,
                     void* line, Responses* responses);
 )

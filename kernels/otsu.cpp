@@ -1,4 +1,7 @@
-// Histograms of frames, and Otsu's threshold from them.
+// Histograms of frames, and Otsu's threshold from them (fingerflow/ops/contact/otsu.py): the bin that maximises
+// (moment total - all below)^2 / (below (total - below)).
+// Layout: counts (batch, bins) int64. Each piece of rows has kSides interleaved histograms of 32 bit with one bin more,
+// which takes the pixels outside the mask; they are added up at the end.
 #include <algorithm>
 #include <cstring>
 #include <limits>
@@ -18,10 +21,11 @@ struct Counted {
     std::int64_t count;         // of bins
 };
 
-// Neighbours are often equal, and a count cannot be raised again before it has been written: four counts side by side.
+// Neighbouring pixels are often equal, and incrementing one counter twice waits for its store: four histograms in
+// turns.
 constexpr std::int64_t kSides = 4;
 
-// Bin of each pixel of a line; `count` for one that does not count.
+// Bin of each pixel of a line; `count` for pixels outside the mask.
 template <class Pixel, class Place>
 void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given, Place* places) {
     const std::int64_t width = given.frames.width;
@@ -34,7 +38,7 @@ void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given, 
         for (std::int64_t x = 0; x < width; ++x) places[x] = mask[x] != 0 ? places[x] : none;
 }
 
-// Counts of one line, by four.
+// Counts the bins of one line.
 template <class Place>
 void count_line(const Place* places, std::int64_t width, std::uint32_t* const* sides) {
     std::int64_t x = 0;
@@ -43,7 +47,7 @@ void count_line(const Place* places, std::int64_t width, std::uint32_t* const* s
     for (; x < width; ++x) ++sides[0][places[x]];
 }
 
-// Bytes are read eight at a time: as many loads less.
+// Counts eight bytes, read by one load.
 void count_eight(const std::uint8_t* pixels, std::uint32_t* const* sides) {
     std::uint64_t eight;
     std::memcpy(&eight, pixels, sizeof eight);
@@ -58,7 +62,7 @@ void count_eight(const std::uint8_t* pixels, std::uint32_t* const* sides) {
     ++fourth[eight >> 56];
 }
 
-// Counts of the pixels of a line that the mask wants, or of all where it is null.
+// Counts the pixels of a line inside the mask, or all if it is null.
 void count_line(const std::uint8_t* row, const unsigned char* mask, std::int64_t width, std::int64_t none,
                 std::uint32_t* const* sides) {
     std::int64_t x = 0;
@@ -78,7 +82,7 @@ void count_line(const std::uint8_t* row, const unsigned char* mask, std::int64_t
     count_some(width);
 }
 
-// Adds up some rows in `sums` (kSides times count + 1), zero before.
+// Counts some rows into `sums` (kSides, count + 1), which must be zero.
 template <class Place, class Pixel>
 void count_rows(const Pixel* frame, const unsigned char* mask, const Counted& given, std::int64_t rows, Place* places,
                 std::uint32_t* sums) {
@@ -131,7 +135,8 @@ void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t h
     std::fill(counts, counts + batch * count, 0);
     if (height * width == 0) return;
 
-    // Pieces so large that adding up their counts takes little beside counting, and that no sum of 32 bits overflows.
+    // Pieces are large enough that adding their histograms costs little, and small enough that no 32-bit count
+    // overflows.
     const std::int64_t least = std::max<std::int64_t>(1, 16 * count / width);
     const std::int64_t most = std::max<std::int64_t>(1, (std::int64_t{1} << 31) / width);
     const std::int64_t shared = (height * batch + threads - 1) / threads;
@@ -157,7 +162,6 @@ void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, d
             total += static_cast<double>(counts[bin]);
             all += static_cast<double>(counts[bin]) * bin;
         }
-        // As fingerflow/ops/contact/otsu.py: between = (moment total - all below)^2 / (below (total - below)).
         double below = 0, moment = 0, best = -1;
         int last = -1;
         bool split = false;

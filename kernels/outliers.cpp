@@ -1,4 +1,8 @@
-// Outliers among points: three steps, each of which asks what the one before has found of the neighbours.
+// Outliers among tracked points (fingerflow/ops/tracking/outliers.py), in three steps of which each reads the
+// neighbours' results of the one before: a local fit of the displacements, slopes averaged over neighbours, and the
+// judgement.
+// Layout: kOutlierColumns columns of `stride` floats a frame, one a point (OutlierFrame); pieces of eight blocks of
+// kJudged points, one a lane.
 #include <algorithm>
 #include <cstdint>
 #include <vector>

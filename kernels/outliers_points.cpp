@@ -1,5 +1,9 @@
 // build: each instruction set
-// See fingerflow/ops/tracking/outliers.py for what is computed and why.
+// Outliers among points by the agreement with their neighbours (outliers.cpp, fingerflow/ops/tracking/outliers.py).
+// Disagreement with neighbours j above a plane: harmonic mean of 1 + z_j^2, z_j^2 = |du_j|^2 / (var + var_j), for
+// slopes 0, slopes fitted to the neighbours, and slopes averaged over neighbours; the least of the three counts.
+// Layout: one point a lane, blocks of kJudged points; neighbours are (neighbours, stride), columns of OutlierFrame
+// (stride).
 #include "outliers_points.h"
 
 #include <math.h>
@@ -13,7 +17,7 @@ namespace {
 constexpr float kLeast = 1e-30f;
 
 inline float at_least(float value, float least) { return value < least ? least : value; }
-inline float lesser(float a, float b) { return a < b || a != a ? a : b; }  // not a number where either is none
+inline float lesser(float a, float b) { return a < b || a != a ? a : b; }  // NaN where either is NaN
 
 struct Lane {
     float of[kJudged];
@@ -21,7 +25,7 @@ struct Lane {
     float operator[](int q) const { return of[q]; }
 };
 
-// Calls act(q) for all points of a block, side by side.
+// Calls act(q) for all points of a block, one a lane.
 template <class Act>
 inline void for_block(const Act& act) {
     FINGERFLOW_INDEPENDENT
@@ -33,8 +37,8 @@ class Block {
 public:
     Block(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) : given_(given), frame_(frame), first_(first) {}
 
-    // Calls act(q, x, y, u, v, precision, weight) for each neighbour of all points: its offset, its displacement less that of
-    // the point, 1 over the sum of both variances, and whether it counts.
+    // Calls act(q, x, y, u, v, precision, weight) for each neighbour of each point q: its offset, its displacement
+    // relative to the point, 1 / (sum of both variances), and 1 if it counts, else 0.
     template <class Act>
     void for_neighbours(const Act& act) const {
         for (std::int64_t k = 0; k < given_.neighbours; ++k) {
@@ -48,7 +52,7 @@ public:
         }
     }
 
-    // The harmonic mean of 1 + z^2 over the neighbours above planes of these slopes, 1 where there are none.
+    // The harmonic mean of 1 + z^2 over the neighbours relative to planes of these slopes; 1 without neighbours.
     Lane agreement(const Lane (&slope)[4], const float* number) const {
         Lane agreeing{}, result;
         for_neighbours([&](int q, float x, float y, float u, float v, float precision, float weight) {
@@ -74,7 +78,7 @@ void fit(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64
     });
     for_block([&](int q) { level[q] = number[q] > 0 ? number[q] / at_least(agreeing[q], kLeast) : 1; });
 
-    // The plane through the neighbours that are close to the point.
+    // Plane through the point, fitted to neighbours with weights that fall with their disagreement.
     Lane total{}, sum_x{}, sum_y{}, xx{}, xy{}, yy{}, rise[2]{}, along_x[2]{}, along_y[2]{};
     block.for_neighbours([&](int q, float x, float y, float u, float v, float precision, float weight) {
         weight /= 1 + (u * u + v * v) * precision / (given.spread * level[q]);
@@ -154,7 +158,7 @@ void judge(const fingerflow_outliers& given, std::int64_t frame_number, const Ou
     for (int q = 0; q < (left < kJudged ? static_cast<int>(left) : kJudged); ++q) {
         const float number = frame.number[first + q];
         const bool judged = frame.one[first + q] != 0 && number >= static_cast<float>(given.least_neighbours);
-        // Harmonic means over the neighbours of their disagreement and deviation: the outliers among them hardly count.
+        // Harmonic means of the neighbours' disagreement and deviation, in which outliers among them hardly count.
         const float usual = number / at_least(agreement[q], kLeast), usual_deviation = number / at_least(certainty[q], kLeast);
         const std::int64_t to = frame_number * given.points + first + q;
         given.off_neighbours[to] = judged && 1 / frame.agreement[first + q] > given.most_disagreement * usual;

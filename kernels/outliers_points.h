@@ -1,4 +1,4 @@
-// Agreement of points with their neighbours, for some blocks of points of a frame.
+// Agreement of points with their neighbours, for some blocks of points of a frame (outliers.cpp).
 #pragma once
 
 #include <cstdint>
@@ -10,18 +10,18 @@ namespace fingerflow {
 
 constexpr int kJudged = 16;  // points of a block
 
-// What is known of the points of a frame, (stride) each: by the first step u to `one`, by the second `level` to `trust`, by the
-// third `agreement`. One is 0 where a point is not known, and so is all else of it.
+// Columns (stride) of a frame's points: read_displacements writes u to `one`, fit_neighbours `number` to `trust`,
+// borrow_slopes `agreement`. `one` is 1 for a known point, else 0, with u = v = 0.
 struct OutlierFrame {
     float *u, *v, *variance, *certainty, *one;
-    float *number, *level, *fitted, *slope[4], *trust;  // of the neighbours that count; a level is 1 where there are none
+    float *number, *level, *fitted, *slope[4], *trust;  // `number` of neighbours that count; `level` is 1 without any
     float* agreement;
 };
 constexpr int kOutlierColumns = 14;
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Each from block `first` to before block `last`; `read` takes points.
+    // Three steps over blocks `first` to before `last`, after read_displacements for all points of a frame.
     void read_displacements(const fingerflow_outliers& given, std::int64_t frame, const OutlierFrame& to);
     void fit_neighbours(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last);
     void borrow_slopes(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last);

@@ -1,3 +1,6 @@
+// A pool of threads that share the pieces of parallel_for. Each thread takes the next piece by an atomic counter, so
+// that the distribution adapts to their speed; results must not depend on it.
+// Layout: one Job a call, on the caller's stack, linked into the pool's list; threads live as long as the process.
 #include "parallel.h"
 
 #include <algorithm>
@@ -37,7 +40,7 @@ void fail_if_asked(std::int64_t piece, Thread thread) {
     throw 1;
 }
 
-// What one call of parallel_for shares out. It lives on the caller's stack: the caller leaves last.
+// The work of one call of parallel_for. It lies on the caller's stack: the caller returns last.
 struct Job {
     Job(std::int64_t count, int helpers, const std::function<void(std::int64_t)>& what)
         : work(what), pieces(count), places(helpers) {}
@@ -61,13 +64,13 @@ struct Job {
     const std::int64_t pieces;
     std::atomic<std::int64_t> next{0};
     std::atomic<bool> failed{false};
-    std::exception_ptr failure;  // of the thread that failed first; read when all have left
-    int places;                  // for threads of the pool that may still come in; under the pool's lock
-    std::atomic<int> inside{0};  // threads of the pool at work; changed under the pool's lock
+    std::exception_ptr failure;  // of the thread that failed first; read when all have finished
+    int places;                  // number of pool threads that may still join; under the pool's lock
+    std::atomic<int> inside{0};  // number of pool threads at work; changed under the pool's lock
     Job* following = nullptr;
 };
 
-// Threads live as long as the process: starting one takes longer than filtering a frame. They serve all callers.
+// Threads are kept, since starting one takes longer than filtering a frame. They serve all callers.
 class Pool {
 public:
     void run(Job& job) {
@@ -88,7 +91,7 @@ public:
             asked_ -= helpers;
             Job** place = &jobs_;
             while (*place != &job) place = &(*place)->following;
-            *place = job.following;  // whoever has not woken up yet is not waited for
+            *place = job.following;  // threads that have not woken up yet are not waited for
         }
         spin([&job] { return job.inside.load() == 0; });
         std::unique_lock<std::mutex> lock(mutex_);
@@ -96,7 +99,8 @@ public:
     }
 
 private:
-    // As many threads as all callers ask for together, but more than the machine has only where one caller asks for them.
+    // Starts as many threads as all callers request together; more than processors only if a single caller requests
+    // them.
     void grow(int helpers) {
         static const int processors = static_cast<int>(std::thread::hardware_concurrency());
         const int wanted = std::max(helpers, std::min(asked_, processors - 1));
@@ -105,12 +109,12 @@ private:
                 if (fault_to_inject.load() == Fault::kNoThread) throw std::system_error(EAGAIN, std::generic_category());
                 workers_.emplace_back([this] { serve(); });
             }
-        } catch (const std::system_error&) {  // those there are do it, the caller if nobody else
+        } catch (const std::system_error&) {  // the existing threads do the work, or the caller alone
         } catch (const std::bad_alloc&) {
         }
     }
 
-    // Waits for a while without sleeping: waking up takes longer than many a piece of work.
+    // Busy-waits up to 50 us: waking up takes longer than many pieces of work.
     template <class Done>
     static void spin(const Done& done) {
         const auto end = std::chrono::steady_clock::now() + std::chrono::microseconds(50);
@@ -145,17 +149,17 @@ private:
     std::mutex mutex_;
     std::condition_variable start_, done_;
     std::vector<std::thread> workers_;
-    Job* jobs_ = nullptr;                  // in the order of their callers
-    int asked_ = 0;                        // threads that the callers of all jobs want beside their own
-    std::atomic<std::uint64_t> round_{0};  // changes with every job
+    Job* jobs_ = nullptr;                  // in order of the calls
+    int asked_ = 0;                        // threads that all callers request beside their own
+    std::atomic<std::uint64_t> round_{0};  // incremented with every job
 };
 
-// Never destroyed: its threads may outlive static objects.
+// Never destroyed, since its threads may outlive static objects.
 alignas(Pool) unsigned char storage[sizeof(Pool)];
 Pool* const pool = new (&storage) Pool;
 
 #ifndef _WIN32
-// A forked child has none of its parent's threads, and perhaps a lock that one of them held: it begins anew.
+// A forked child has none of its parent's threads and may inherit a held lock: it starts a new pool.
 const int registered = pthread_atfork(nullptr, nullptr, [] { new (&storage) Pool; });
 #endif
 

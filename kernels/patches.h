@@ -1,4 +1,4 @@
-// Spline coefficients of a small rectangle, made from the pixels when they are needed: windows cover less than a frame.
+// Spline coefficients of a small rectangle, computed from the pixels on demand, since windows cover less than a frame.
 #pragma once
 
 #include <cstdint>
@@ -9,16 +9,16 @@
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
 
-// Where a patch lies in its frame, px.
+// Position of a patch in its frame, px.
 struct Rectangle {
     std::int64_t x, y;
     int rows, columns;
 };
 
-constexpr int kPatchBlock = 32;  // columns at a time; what is written and read of a row are whole blocks
+constexpr int kPatchBlock = 32;  // columns at a time; rows are read and written in whole blocks
 constexpr int patch_span(int columns) { return (columns + kPatchBlock - 1) / kPatchBlock * kPatchBlock; }
 
-// Sums of whole numbers are exact in 16 and 32 bit.
+// Types in which sums of integer pixels are exact.
 template <class Pixel>
 struct PixelSum {
     using Type = float;
@@ -42,7 +42,7 @@ inline Sum smooth(Pixel before, Pixel here, Pixel behind) {
     return static_cast<Sum>(static_cast<Sum>(before) + static_cast<Sum>(here) + static_cast<Sum>(here) + static_cast<Sum>(behind));
 }
 
-// Coefficients of a rectangle less `level`, rows `stride` floats apart. Pixels beyond the border repeat the border.
+// Writes the coefficients of a rectangle less `level`, rows `stride` floats apart. The border is repeated.
 template <class Pixel>
 void cut_anywhere(const Pixel* frame, const Frames& frames, const Rectangle& where, float level, float* to, int stride) {
     using Sum = typename PixelSum<Pixel>::Type;
@@ -61,14 +61,15 @@ void cut_anywhere(const Pixel* frame, const Frames& frames, const Rectangle& whe
     }
 }
 
-// The same, faster away from the border: a row writes whole blocks, which the next row replaces in part. `lines` holds rows + 2 whole blocks of four bytes.
+// The same, faster away from the border: rows are written in whole blocks, which the next row partly overwrites.
+// `lines` has space for rows + 2 rows of whole blocks of 4-byte numbers.
 template <class Pixel>
 void cut_patch(const Pixel* frame, const Frames& frames, const Rectangle& where, float level, void* lines, float* to, int stride) {
     using Sum = typename PixelSum<Pixel>::Type;
     const int span = patch_span(where.columns);
     const bool inside = where.x >= 1 && where.y >= 1 && where.x + span < frames.width && where.y + where.rows < frames.height;
     if (!inside) {
-        // What no pixel belongs to is read in whole vectors too, and weighs nothing: it must be a number.
+        // Padding is read by whole vectors and weighted by 0, so it must be finite.
         for (int r = 0; r < where.rows; ++r)
             for (int c = where.columns; c < stride; ++c) to[r * stride + c] = 0.0f;
         return cut_anywhere(frame, frames, where, level, to, stride);

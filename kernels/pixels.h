@@ -1,4 +1,4 @@
-// The number types of frames, as fingerflow/kernels codes them.
+// Number types of pixels, as coded by fingerflow/kernels.
 #pragma once
 
 #include <cstdint>
@@ -7,14 +7,14 @@ namespace fingerflow {
 
 enum PixelKind : int { kUint8 = 0, kUint16 = 1, kInt32 = 2, kFloat32 = 3 };
 
-// Frames (batch, height, width); strides in pixels, pixels of a row side by side.
+// Frames (batch, height, width); strides in pixels, pixels of a row contiguous.
 struct Frames {
     const void* data;
     std::int64_t batch, height, width, frame_stride, row_stride;
     PixelKind kind;
 };
 
-// Calls function(typed pointer) for the type that `kind` says.
+// Returns function(pointer of the type `kind`).
 #define FINGERFLOW_FOR_PIXEL(kind, data, function)                                             \
     switch (kind) {                                                                            \
         case fingerflow::kUint8: return function(static_cast<const std::uint8_t*>(data));      \

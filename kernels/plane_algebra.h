@@ -1,4 +1,4 @@
-// Pairs (x, z) of numbers or vectors of numbers, and matrices of two rows.
+// Pairs (x, z) and 2 x 2 matrices of doubles, or of vectors of doubles.
 #pragma once
 
 #include "side_by_side.h"

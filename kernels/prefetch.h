@@ -1,4 +1,4 @@
-// Asks for the cache line at an address, which may be any, before it is needed.
+// Prefetch of the cache line at an address, which need not be valid.
 #pragma once
 
 #if defined(__GNUC__) || defined(__clang__)

@@ -1,4 +1,7 @@
-// What touches: some rows of all frames at a time, so that the light of the empty glass is read once for all of them.
+// Real-contact mask: a lit pixel touches where most of a size x size window lies below black + limit * light
+// (fingerflow/ops/contact/real_contact_mask.py).
+// Layout: results are bytes, contiguous (batch, height, width). A piece is some rows of all frames, so that the light
+// of the empty glass is read once for all of them.
 #include "interface.h"
 
 #include <algorithm>

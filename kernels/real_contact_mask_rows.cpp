@@ -1,5 +1,9 @@
 // build: each instruction set
-// Columns of a window counted by adding the line below it and taking off the one above; a byte holds 15 x 15.
+// Real-contact mask of some rows of all frames (real_contact_mask.cpp): pixel < black + share * light, then the
+// majority of a window.
+// Layout: one pixel a lane, bytes of 0 or 1 in rings of `size` lines; column sums add the line below and subtract the
+// line above the window, and a byte holds 15 x 15. With AVX-512, uint8 frames and 3 x 3 windows, a pixel is one bit and
+// 64 are counted at a time by full adders.
 #include "real_contact_mask_rows.h"
 
 #include <string.h>
@@ -10,7 +14,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// Which pixels lie below black + share * light, and which are lit.
+// Writes which pixels lie below black + share * light, and which are lit.
 template <class Pixel>
 void compare(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTRICT light,
              const float* FINGERFLOW_RESTRICT black, float share, std::int64_t begin, std::int64_t width,
@@ -23,7 +27,7 @@ void compare(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTR
 }
 
 #ifdef __AVX512BW__
-// Which of 64 pixels, of which `left` are there, lie below black + share * light and are lit, and which are lit.
+// Masks of up to 64 pixels (`left` exist): lit ones below black + share * light, and lit ones.
 struct Compared {
     std::uint64_t below = 0, has = 0;
     Compared(const std::uint8_t* row, const float* light, const float* black, float share, std::int64_t left) {
@@ -40,7 +44,7 @@ struct Compared {
     }
 };
 
-// As `compare`, of as many pixels as are whole vectors.
+// `compare` for whole vectors of 64 pixels; returns the number of pixels done.
 std::int64_t compare_bytes(const std::uint8_t* row, const float* light, const float* black, float share,
                            std::int64_t width, unsigned char* line, unsigned char* lit) {
     const __m512i one = _mm512_set1_epi8(1);
@@ -53,8 +57,8 @@ std::int64_t compare_bytes(const std::uint8_t* row, const float* light, const fl
     return x;
 }
 
-// Of bytes and windows of 3 x 3 a pixel is a bit, sums are those of full adders, 64 pixels at a time. Lines of a frame
-// take so little that those of all frames stay in the first cache, and light and black beside them.
+// Windows of 3 x 3 of bytes as bits: full adders sum 64 pixels at a time. The lines of bits of all frames fit into the
+// first cache together with light and black.
 class Bits {
 public:
     Bits(const Frames& frames, const Lit& lit, const float* shares, unsigned char* memory)
@@ -70,7 +74,7 @@ public:
     }
 
 private:
-    // Lines after which one is asked for: it is short, and where it ends the processor does not look for the next.
+    // Lines to prefetch ahead: hardware does not prefetch beyond the end of a line of a frame.
     static constexpr std::int64_t kAhead = 2;
 
     std::uint64_t* line(std::int64_t frame, std::int64_t y, std::int64_t kind) const {
@@ -93,11 +97,11 @@ private:
         }
     }
 
-    // Writes where five of nine are set and the middle one is lit.
+    // Writes 1 where at least five of nine are set and the middle one is lit.
     void count(std::int64_t frame, std::int64_t y, unsigned char* out) const {
         const std::uint64_t *const above = line(frame, y - 1, 0), *const middle = line(frame, y, 0);
         const std::uint64_t *const below = line(frame, y + 1, 0), *const has = line(frame, y, 1);
-        // Of each column, ones and twos.
+        // Sum of each column as two bits.
         for (std::int64_t word = 0; word < words_; ++word) {
             const std::uint64_t a = above[word], b = middle[word], c = below[word];
             ones_[word] = a ^ b ^ c;
@@ -108,7 +112,7 @@ private:
         const __m512i one = _mm512_set1_epi8(1);
         for (std::int64_t word = 0; word < words_; ++word) {
             const Three ones(ones_ + word), twos(twos_ + word);
-            // One of ones.odd, two of ones.most and of twos.odd each, four of twos.most.
+            // The sum is ones.odd + 2 (ones.most + twos.odd) + 4 twos.most.
             const std::uint64_t two = ones.most ^ twos.odd, four = ones.most & twos.odd, other = twos.most;
             const std::uint64_t five = (four & other) | ((four | other) & (ones.odd | two));
             const std::int64_t left = frames_.width - 64 * word;
@@ -117,7 +121,7 @@ private:
         }
     }
 
-    // The first and the last column once more, beyond them.
+    // Repeats the first and the last column beyond the border.
     void extend(std::uint64_t* sums) const {
         const std::int64_t last = frames_.width - 1, beyond = frames_.width;
         sums[-1] = sums[0] << 63;
@@ -127,7 +131,7 @@ private:
 
     static std::uint64_t most(std::uint64_t a, std::uint64_t b, std::uint64_t c) { return (a & b) | (c & (a ^ b)); }
 
-    // Sums of a bit and its two neighbours.
+    // Sum of a bit and its two neighbours, as two bits.
     struct Three {
         std::uint64_t odd, most;
         explicit Three(const std::uint64_t* words) {

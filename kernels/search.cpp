@@ -1,3 +1,7 @@
+// Search by normalised cross-correlation in half resolution, forwards and back (fingerflow/ops/tracking/search.py), and
+// the halved images. A window returns if the search back ends within `limit` px of its start.
+// Layout: halved images are floats (batch, height / 2, width / 2); points, guesses and results (count, 2) px of full
+// resolution. Pieces of 16 points or 32 rows.
 #include <algorithm>
 #include <cmath>
 #include <vector>

@@ -1,5 +1,9 @@
 // build: each instruction set, fused
-// The place of highest normalised cross-correlation, one point after the other; see fingerflow/ops/tracking/search.py.
+// Exhaustive search of windows (search.cpp), one point after the other: the displacement of highest normalised
+// cross-correlation, sum(T P) / sqrt(sum (P - mean P)^2), refined by parabolas through its neighbours. Of scores equal
+// to kSearchTie the one nearest to the guess is taken.
+// Layout: template T and patch P, less their means, are rows of whole vectors followed by zeros; a lane holds one
+// column of the template, and kRows displacements down share each load of the patch.
 #include "search_points.h"
 
 #include <math.h>
@@ -13,13 +17,13 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-constexpr int kRows = 8;  // of displacements at a time: each vector of the image is loaded once for all of them
-constexpr float kTiny = 1.17549435e-38f;  // the least normal number
+constexpr int kRows = 8;  // displacements down at a time, for which each vector of the patch is loaded once
+constexpr float kTiny = 1.17549435e-38f;  // the smallest normal number
 
 bool is_finite(float value) { return value - value == 0.0f; }
 
 struct Layout {
-    int size, span, side, width, stride;  // side: of the patch; width and stride: of rows of the template and of the patch
+    int size, span, side, width, stride;  // side of the patch; floats a row of the template (width) and of the patch (stride)
     Layout(int size, int reach)
         : size(size), span(2 * reach + 1), side(size + span - 1), width(whole_floats(size)), stride(whole_floats(side) + kFloats) {}
     int spans() const { return (span + kRows - 1) / kRows * kRows; }
@@ -60,7 +64,7 @@ public:
         found[0] = guess[0];
         found[1] = guess[1];
         if (!(is_finite(place[0]) && is_finite(place[1]) && is_finite(guess[0]) && is_finite(guess[1]))) return;
-        // Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
+        // Pixel i of the half-resolution image is centred at 2 i + 1/2 px of the full one.
         const float start[] = {rintf((place[0] - 0.5f) / 2), rintf((place[1] - 0.5f) / 2)};
         const float center[] = {rintf((guess[0] - 0.5f) / 2), rintf((guess[1] - 0.5f) / 2)};
         const std::int64_t image = search_.image_index[point] * search_.height * search_.width;
@@ -77,7 +81,7 @@ public:
                 const float deviation = deviations_[row * span + column];
                 if (deviation > most) most = deviation;
             }
-        // A window without contrast correlates with nothing; the bound keeps rounding from making one win.
+        // Windows without contrast are excluded; their scores would be rounding errors.
         const float least = 1e-3f * most + kTiny;
         float highest = -INFINITY;
         for (int k = 0; k < span * span; ++k) {
@@ -102,28 +106,28 @@ public:
         const auto reach = static_cast<float>(search_.reach);
         const float moved_x = static_cast<float>(column) - reach + vertex(products_[left], peak, products_[right]);
         const float moved_y = static_cast<float>(row) - reach + vertex(products_[above], peak, products_[below]);
-        // The motion of the template's pixel, carried over to the point itself.
+        // The displacement of the template's central pixel, added to the point.
         found[0] = place[0] + 2 * (center[0] + moved_x - start[0]);
         found[1] = place[1] + 2 * (center[1] + moved_y - start[1]);
     }
 
 private:
-    // Where the parabola through three neighbouring scores has its maximum, in -1/2 ... 1/2 from the middle one; there, where
-    // they are equal to kSearchTie.
+    // Position of the maximum of the parabola through three scores, clamped to [-1/2, 1/2]; 0 where they are equal to
+    // kSearchTie.
     static float vertex(float before, float peak, float after) {
         const float curvature = before - 2 * peak + after;
         const float at = curvature < -kSearchTie * peak ? (before - after) / (2 * curvature) : 0.0f;
         return !is_finite(at) ? 0.0f : at < -0.5f ? -0.5f : at > 0.5f ? 0.5f : at;
     }
 
-    // However far outside, a place is the border's.
+    // Clamps a coordinate far outside the image, so that it can be converted to an integer.
     static std::int64_t within(float place, std::int64_t count) {
         const auto far = static_cast<float>(2 * count);
         return static_cast<std::int64_t>(place > -far ? (place < far ? place : far) : -far);
     }
     static std::int64_t nearest(std::int64_t place, std::int64_t count) { return place < 0 ? 0 : place >= count ? count - 1 : place; }
 
-    // A square around a place, less its mean; what is not finite counts as zero.
+    // Copies a square around a position, less its mean; values that are not finite become 0.
     void cut(const float* image, const float* center, int half, int side, float* to, int stride) const {
         const std::int64_t width = search_.width, height = search_.height;
         const std::int64_t x = within(center[0], width) - half, y = within(center[1], height) - half;
@@ -135,7 +139,7 @@ private:
             else for (int c = 0; c < side; ++c) row[c] = line[nearest(x + c, width)];
             for (int c = 0; c < side; ++c) row[c] = is_finite(row[c]) ? row[c] : 0.0f;
             Floats sum[kFloats] = {};
-            for (int c = 0; c < side; c += kFloats) sum[0] += load(row + c);  // zeros behind the last column
+            for (int c = 0; c < side; c += kFloats) sum[0] += load(row + c);  // zeros follow the last column
             total += folded<kFloats>(sum)[0];
         }
         const float mean = total / static_cast<float>(side * side);
@@ -143,7 +147,7 @@ private:
             for (int c = 0; c < side; ++c) to[r * stride + c] -= mean;
     }
 
-    // Sums of template times patch for all displacements.
+    // Correlates template and patch for all displacements.
     void correlate() {
         const int span = layout_.span, width = layout_.width;
         for (int top = 0; top < span; top += kRows)
@@ -155,7 +159,7 @@ private:
                 for (int r = 0; r < end; ++r)
                     for (int c = 0; c < width; c += kFloats) {
                         const Floats pixels = held(load(patch_ + (top + r) * layout_.stride + left + c));
-                        // Above and below the template lie rows of zeros.
+                        // Rows of zeros lie above and below the template.
                         const float* const line = template_ + (kRows + r) * width + c;
                         FINGERFLOW_UNROLL
                         for (int k = 0; k < kRows; ++k) product[k] += pixels * load(line - k * width);
@@ -168,7 +172,7 @@ private:
             }
     }
 
-    // Sums of squared deviations from the mean of the patch's windows, by running sums in double: differences of long sums.
+    // Sums of squared deviations of all windows of the patch, by running sums in double, since these cancel.
     void measure() {
         const int size = layout_.size, span = layout_.span, side = layout_.side;
         for (int c = 0; c < side; ++c) sums_[c] = squares_[c] = 0;

@@ -1,4 +1,4 @@
-// Windows found in another image by exhaustive search, some of them: the piece of work of one thread.
+// Exhaustive search for some windows in another image, the piece of one thread (search_points.cpp).
 #pragma once
 
 #include <cstdint>
@@ -7,15 +7,15 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/tracking/search.py has them: images (B, height, width) of half resolution, points flat over them.
+// Arguments of fingerflow/ops/tracking/search.py: images (B, height, width) of half resolution, P points.
 struct Search {
     const float* templates;
     const float* images;
     std::int64_t height, width;
     const std::int64_t* image_index;  // (P)
-    const float* points;              // (P, 2) px of full resolution, as all positions
+    const float* points;              // (P, 2) px of full resolution, as are guess and found
     const float* guess;
-    int size, reach;  // of a template and of the search, px of half resolution
+    int size, reach;  // template width and search radius, px of half resolution
     float* found;
 };
 

@@ -1,4 +1,4 @@
-// Doubles, or vectors of them, by the same words: a source that includes this is compiled once an instruction set.
+// Doubles and vectors of doubles (SIMD lanes) with the same functions, for sources compiled for each instruction set.
 #pragma once
 
 #include <math.h>
@@ -25,7 +25,7 @@ typedef std::uint64_t Naturals __attribute__((vector_size(8 * kSide)));
 constexpr int kSide = 1;
 #endif
 
-// What a number, or a vector of them, is made of.
+// Lanes, bits and masks of a double or of a vector of doubles.
 template <class T>
 struct Of;
 template <>
@@ -90,16 +90,16 @@ inline To bits(const From& from) {
     return to;
 }
 
-// log of a positive normal number, and exp of one up to 700, to some units in the last place; the compiler makes vector
-// code of these, not of calls.
+// log of a positive normal number, and exp of a number up to 700 (0 below -700), to some units in the last place:
+// unlike calls of the C library these vectorize.
 template <class T>
 inline T logarithm(T value) {
     using Bits = typename Of<T>::Bits;
     const Bits raw = bits<Bits>(value);
-    const std::uint64_t shift = 0x3fe6a09e667f3bcdULL;  // sqrt(1/2): the fraction goes from there to sqrt 2
+    const std::uint64_t shift = 0x3fe6a09e667f3bcdULL;  // sqrt(1/2): the fraction lies in [sqrt(1/2), sqrt 2)
     const Bits exponent = (raw - shift) & 0xfff0000000000000ULL;
     const T fraction = bits<T>(static_cast<Bits>(raw - exponent));
-    // The exponent as a number: biased, into the last bits of 2^52.
+    // The exponent as a double: biased, in the last bits of 2^52.
     const Bits biased = ((exponent >> 52) & 0xfff) + 2048;
     const T power = bits<T>(static_cast<Bits>((biased & 0xfff) | 0x4330000000000000ULL)) - (4503599627370496.0 + 2048.0);
     const T s = (fraction - 1.0) / (fraction + 1.0), square = s * s;
@@ -110,7 +110,7 @@ inline T logarithm(T value) {
 template <class T>
 inline T exponential(T value) {
     using Bits = typename Of<T>::Bits;
-    const double shift = 6755399441055744.0;  // 1.5 x 2^52: whole numbers stand in the last bits
+    const double shift = 6755399441055744.0;  // 1.5 x 2^52: rounds to an integer, which lies in the last bits
     const auto none = value < all<T>(-700.0);
     value = pick<T>(none, all<T>(-700.0), value);
     const T shifted = value * 1.44269504088896340736 + shift;
@@ -123,7 +123,7 @@ inline T exponential(T value) {
     const Bits scale = bits<Bits>(sum) + (bits<Bits>(shifted) << 52);
     return pick<T>(none, all<T>(0.0), bits<T>(scale));
 }
-// base^exponent of base >= 0, 0 for 0.
+// base^exponent for base >= 0; 0 for base 0.
 template <class T>
 inline T power(T base, T exponent) {
     const auto some = base > all<T>(1e-300);

@@ -1,4 +1,7 @@
-// Skin chains pressed, group by group.
+// Skin chains pressed, and derivatives back along the recorded steps (fingerflow/models/skin_implicit.py,
+// skin_adjoint.py).
+// Layout: arrays of doubles with the batch of chains first; a group of chains fills the lanes of a vector, one group a
+// piece. A chain alone, and derivatives, run in scalars.
 
 #include "interface.h"
 #include "parallel.h"

@@ -1,6 +1,8 @@
 // build: each instruction set, fused
-// TR-BDF2 of skin chains, as fingerflow/models/skin_implicit.py has it: what is written once here for a double or for a
-// vector of doubles is a chain, or as many chains side by side, each with a step and a time of its own.
+// Time steps of skin chains by TR-BDF2 (fingerflow/models/skin_implicit.py): damping X' = forces(X), a trapezoidal
+// stage to gamma = 2 - sqrt(2) of a step, then BDF2 to its end; step control by the embedded error estimate.
+// Layout: one chain a lane, or a single chain in doubles (template T); elements are contiguous arrays of Pair<T>. Each
+// lane has its own step and time.
 #include "skin_chain_press.h"
 
 #include "skin_press.h"
@@ -12,7 +14,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// What is out of balance at the start: into `left_over`, and the sum of all of it.
+// Writes the unbalanced forces at `start` to `left_over` and returns the sum of their magnitudes.
 template <class T>
 inline T Press<T>::unbalanced(Pair<T> load) {
     elastic(left_over);
@@ -66,7 +68,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         if (!some) break;
         c = (kGamma / 2) * h;
         const T share = h * (1 / duration), gone = kGamma * h, to_go = (1 - kGamma) * h;
-        // To gamma of the step.
+        // First stage, to gamma of the step.
         for (std::int64_t i = 0; i < count; ++i) {
             known.at[i] = start.at[i] + c * start_speed.at[i];
             end.at[i] = start.at[i] + gone * start_speed.at[i];
@@ -82,7 +84,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         middle.bone = end.bone;
         middle_speed.bone = per_c * (end.bone - known.bone);
         hold(middle_speed.bone, rate);
-        // To the end of it.
+        // Second stage, to the end of the step.
         for (std::int64_t i = 0; i < count; ++i) {
             known.at[i] = all<T>(kLater) * middle.at[i] - all<T>(kEarlier) * start.at[i];
             end.at[i] = middle.at[i] + to_go * middle_speed.at[i];
@@ -90,7 +92,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         known.bone = all<T>(kLater) * middle.bone - all<T>(kEarlier) * start.bone;
         end.bone = middle.bone + to_go * middle_speed.bone;
         newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on, iterations);
-        // The error, and the speed at the end where `guess` keeps it.
+        // The error estimate; `guess` holds the velocity at the end.
         const auto estimate = [&](Pair<T> one, Pair<T> two, Pair<T> three) {
             return all<T>(1 / kGamma) * one - all<T>(1 / (kGamma * (1 - kGamma))) * two + all<T>(1 / (1 - kGamma)) * three;
         };
@@ -126,7 +128,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         for (int lane = 0; lane < kLanes; ++lane) {
             if (!live[lane]) continue;
-            // A step that ended the time early says nothing about longer ones.
+            // A step shortened to end at the duration does not limit the next one.
             const double growth = quarters(error[lane]);
             if (growth < 1 || step[lane] == next[lane]) next[lane] = step[lane] * growth;
             if (error[lane] <= 1) {
@@ -161,7 +163,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
     }
 }
 
-// Steps grow by powers of 2^(1/4), from 2^(-7/4) to 2: rounding of the error does not go on into the steps.
+// Growth of the step in powers of 2^(1/4), from 2^(-7/4) to 2, so that rounding of the error does not change the steps.
 template <class T>
 inline double Press<T>::quarters(double error) {
     const double root = 1.18920711500272106672;
@@ -172,7 +174,7 @@ inline double Press<T>::quarters(double error) {
     return growth;
 }
 
-// A step that is kept: when, how long, then places, bone and friction of both stages.
+// Records an accepted step: time, length, then positions, bone and friction of both stages.
 template <class T>
 inline void Press<T>::record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const {
     if (given.record == nullptr || number >= given.record_steps) return;

@@ -1,4 +1,4 @@
-// Presses of skin chains, one or a vector of them at a time.
+// Presses of skin chains, one chain or a vector of chains at a time (skin_chain_press.cpp).
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// How many chains go side by side, and how many bytes of memory they need.
+// Chains in the lanes of a vector, and bytes of memory that they need.
 struct SkinGroup {
     std::int64_t chains, bytes;
 };
@@ -16,9 +16,9 @@ struct SkinGroup {
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     SkinGroup skin_group(std::int64_t count, std::int64_t batch);
-    // Chains first .. first + chains - 1 of those given, fewer at the end.
+    // Presses chains `first` to `first + chains - 1`, fewer at the end of the batch.
     void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int64_t chains, void* memory);
-    // One chain, with memory for a batch of 1.
+    // Derivatives of one chain, with memory for a batch of 1.
     void press_skin_back(const fingerflow_skin_back& given, std::int64_t chain, void* memory);
 )
 // clang-format on

@@ -1,4 +1,5 @@
-// One press of a skin chain, or of as many as a vector has lanes: what it holds, and what is done with it.
+// State and methods of a press of a skin chain, or of as many chains as a vector has lanes. Elements are contiguous
+// arrays of `count` T, Pair<T> or Block<T>, one chain a lane.
 #pragma once
 
 #include "plane_algebra.h"
@@ -8,14 +9,14 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// A place of the bone and of all elements.
+// Positions (or velocities, or forces) of the bone and of all elements.
 template <class T>
 struct Body {
     Pair<T>* at;
     Pair<T> bone;
 };
 
-constexpr std::int64_t kBytesEach = (10 * 2 + 4 + 3 * 4) * 8;  // of an element of one chain: pairs, numbers, blocks
+constexpr std::int64_t kBytesEach = (10 * 2 + 4 + 3 * 4) * 8;  // bytes an element of one chain: pairs, scalars, blocks
 
 template <class T>
 struct Press {
@@ -30,14 +31,15 @@ struct Press {
     const fingerflow_skin_chain& given;
     const std::int64_t count;
     const bool held_x, held_z;
-    // Of the chain.
+    // Parameters of the chain.
     Pair<T>* reference;
     T* mu;
     T radius, membrane, tissue, shear, nail, contact, damping, bone_damping, spring, exponent;
-    // Of the motion: what is known of a stage, what is left over, and Dahl's forces before, in the middle and after.
+    // Motion: `known` of a stage, residuals `left_over`, and Dahl friction forces before, in the middle and after a
+    // step.
     Body<T> start, start_speed, middle, middle_speed, end, known, left_over, guess;
     T *rubbed, *rubbed_middle, *rubbed_end;
-    // Of the system: what the sweep leaves of it.
+    // The linear system as factored by the sweep.
     Block<T> *undone, *from_bone, *to_bone;
     Pair<T>* swept;
     Block<T> bone_block;
@@ -99,15 +101,15 @@ struct Press {
 
     // Forces: skin_press_forces.h.
     void elastic(Body<T>& force) const;
-    // What tissue and nail hold an element back with, and the slope of that.
+    // Restoring force of tissue, shear and nail on an element, and its derivative by position.
     struct Held {
         Pair<T> force;
         Symmetric<T> slope;
     };
     Held held_at(const Body<T>& body, std::int64_t i) const;
     Pair<T> drawn(const Body<T>& body, std::int64_t i) const;
-    // Dahl's force of an element after a slide and its slopes: with the place along and above the plate, with the force
-    // before, the height it slid from, mu k_c and sigma_0. With the place it slid from along the plate: minus the first.
+    // Dahl friction force of an element after a slide and its derivatives by: position along and above the plate, force
+    // before, height it slid from, mu k_c and sigma_0. The derivative by the position it slid from is minus the first.
     struct Rubbed {
         T force, along, above, before, from_above, steep, spring;
     };
@@ -122,8 +124,8 @@ struct Press {
 #endif
 
     // Newton's method: skin_press_newton.h.
-    // One element's rows of (damping I + c K) moved = what is left over, before and after the elements outside of it
-    // were eliminated.
+    // One element's rows of (damping I + c K) moved = residual, before and after elimination of the elements outside
+    // it.
     struct Row {
         Block<T> undone, from_bone, to_bone;
         Pair<T> swept;

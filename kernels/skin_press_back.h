@@ -1,4 +1,4 @@
-// Derivatives of a press, back along the steps that were recorded.
+// Derivatives of a press by reverse differentiation along the recorded steps.
 #pragma once
 
 #include "skin_press.h"
@@ -7,8 +7,9 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// Derivatives of the end of a record, back along its steps, as fingerflow/models/skin_adjoint.py has them. T is double.
-// `left_over` is what is wanted of the place, `guess` of what the stage began at; `rubbed_end` of the friction.
+// Adjoint of a recorded press (fingerflow/models/skin_adjoint.py); T is double. `left_over` holds the adjoint of the
+// positions, `guess` of the positions at the start of a stage, `rubbed_end` of the friction, `start_speed` of the
+// velocity.
 template <class T>
 inline void Press<T>::back(const fingerflow_skin_back& asked, std::int64_t chain) {
     load(chain);
@@ -35,7 +36,8 @@ inline void Press<T>::back(const fingerflow_skin_back& asked, std::int64_t chain
         read(middle, rubbed_middle, step + 2);
         read(end, nullptr, step + 2 + size);
         through(middle, rubbed_middle, stiffness, of_mu);
-        // `known` is wanted of what was known, (places later - earlier); `guess` of where the stage slid from.
+        // `known` is the adjoint of the stage's known part, kLater middle - kEarlier start; `guess` of where it slid
+        // from.
         for (std::int64_t i = 0; i < count; ++i) {
             const Pair<T> of = known.at[i] - (1 / c) * start_speed.at[i];
             start_speed.at[i] = -kEarlier * of;
@@ -56,7 +58,7 @@ inline void Press<T>::back(const fingerflow_skin_back& asked, std::int64_t chain
         start_speed.bone = c * known.bone;
         hold(start_speed.bone, {0, 0});
     }
-    // The first velocity is that of the forces there.
+    // The first velocity is given by the forces at the start.
     for (std::int64_t i = 0; i < count; ++i) start_speed.at[i] = (1 / damping) * start_speed.at[i], end.at[i] = start.at[i];
     start_speed.bone = (1 / bone_damping) * start_speed.bone;
     end.bone = start.bone;
@@ -88,7 +90,7 @@ inline void Press<T>::read(Body<T>& body, T* rub, const double* from) const {
     body.bone = {from[2 * count], from[2 * count + 1]};
 }
 
-// The other body becomes what this was, and the other way round.
+// Swaps two bodies: `other` becomes `one`, and the former `other` is returned.
 template <class T>
 inline Body<T> Press<T>::swapped(Body<T> one, Body<T>& other) {
     const Body<T> before = other;
@@ -96,8 +98,8 @@ inline Body<T> Press<T>::swapped(Body<T> one, Body<T>& other) {
     return before;
 }
 
-// Back through the stage that slid from a place to `end`: `left_over` and `rubbed_end` are what is wanted of its end,
-// and become `known` of what was known, `guess` of where it slid from, `rubbed_end` of the friction before.
+// Adjoint of one stage that slid from `from` to `end`. Reads the adjoints of its end in `left_over` and `rubbed_end`;
+// writes those of the known part to `known`, of `from` to `guess`, of the friction before to `rubbed_end`.
 template <class T>
 inline void Press<T>::through(const Body<T>& from, const T* before, double* stiffness, double* of_mu) {
     const auto make = [&](std::int64_t i, Pair<T>& held, Block<T>& slope) {
@@ -131,7 +133,8 @@ inline void Press<T>::through(const Body<T>& from, const T* before, double* stif
     known.bone = bone_damping * known.bone;
 }
 
-// Membrane, tissue, shear, nail and contact, each by what its forces at `end` do along a motion.
+// Adds the derivatives by membrane, tissue, shear, nail and contact stiffness: work of their unit forces at `end` along
+// a motion.
 template <class T>
 inline void Press<T>::by_stiffness(const Body<T>& along, double times, double* stiffness) const {
     double sums[5] = {};

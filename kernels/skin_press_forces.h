@@ -1,4 +1,4 @@
-// What skin, tissue, nail, plate and friction do to the elements of a chain.
+// Forces of skin, tissue, nail, plate and friction on the elements of a chain.
 #pragma once
 
 #include "skin_press.h"
@@ -7,7 +7,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// Elastic forces on elements and bone at the start.
+// Elastic and contact forces on elements and bone at `start`.
 template <class T>
 inline void Press<T>::elastic(Body<T>& force) const {
     Pair<T> sum{all<T>(0), all<T>(0)};
@@ -22,7 +22,7 @@ inline void Press<T>::elastic(Body<T>& force) const {
         const Held other = held_at(start, j);
         force.at[j] = drawn(start, j) - other.force;
         force.at[j].z = force.at[j].z + contact * greater(-start.at[j].z, all<T>(0));
-        sum = sum + (one.force + other.force);  // so that a mirrored press has the mirrored sum
+        sum = sum + (one.force + other.force);  // symmetric order: a mirrored press has the mirrored sum
     }
     force.bone = sum;
 }
@@ -37,7 +37,7 @@ inline typename Press<T>::Held Press<T>::held_at(const Body<T>& body, std::int64
             {own + resisted + turned * (x * x), turned * (x * z), own + resisted + turned * (z * z)}};
 }
 
-// What its links draw an element with.
+// Membrane force of the links on an element.
 template <class T>
 inline Pair<T> Press<T>::drawn(const Body<T>& body, std::int64_t i) const {
     const Pair<T> own = body.at[i] - reference[i];

@@ -1,5 +1,5 @@
-// A stage of a step by Newton's method, whose linear system is swept from both ends at once: two chains of operations that
-// do not wait for each other, and mirrored results for a mirrored press.
+// Newton's method for a stage of a step. The block-tridiagonal system is swept from both ends at once: the two sweeps
+// are independent, so that they overlap, and a mirrored press has mirrored results.
 #pragma once
 
 #include "skin_press.h"
@@ -27,7 +27,7 @@ inline typename Press<T>::Row Press<T>::assembled(const Body<T>& from, const T* 
              damping * off.z + c * (pull.z - own.force.z + contact * greater(-at.z, none))}};
 }
 
-// A row after its neighbour's.
+// Eliminates the neighbour outside a row from it.
 template <class T>
 inline void Press<T>::follow(Row& row, const Row& before, T joined) const {
     row.undone = row.undone - (joined * joined) * before.undone;
@@ -49,8 +49,8 @@ inline void Press<T>::finish(Row& row, std::int64_t i, Mask here, bool whole) {
     }
 }
 
-// Rows made one by one and swept from both ends; the bone's right-hand side from what its links to elements add up to;
-// then where each element goes. The swept matrix stays for `solved`, in the lanes `here`. Gives the bone's motion.
+// Makes the rows one by one and eliminates them from both ends; solves for the bone, then calls gone(i, motion) for
+// each element. Keeps the factored matrix for `solved` in the lanes `here`. Returns the bone's motion.
 template <class T>
 template <class Make, class Side, class Gone>
 inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone) {
@@ -108,7 +108,7 @@ inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair
     return by;
 }
 
-// A step of Newton's from `end`, gone along by the lanes `here`. The greatest motion.
+// One Newton step from `end`, taken in the lanes `here`. Returns the greatest motion.
 template <class T>
 inline T Press<T>::newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
     const T none = all<T>(0);
@@ -136,7 +136,8 @@ inline Pair<T> Press<T>::bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) 
     return inverse(of) * side;
 }
 
-// The greatest of the solution of the last matrix for a right-hand side; that of a direction which is held is its motion.
+// Solves the last factored system for a right-hand side (in a held direction, the bone's motion) and returns the
+// greatest magnitude of the solution.
 template <class T>
 inline T Press<T>::solved(const Body<T>& side) {
     const std::int64_t centre = count / 2;
@@ -170,8 +171,8 @@ inline T Press<T>::solved(const Body<T>& side) {
     return most;
 }
 
-// damping (X - known) = c forces(X) from `end` on, which becomes X, with Dahl's forces `after` the slide from a place;
-// lanes where it is not found are taken off those which go on.
+// Solves damping (X - known) = c forces(X), starting at `end`, which becomes X, and writes the Dahl friction `after`
+// the slide from `from`. Lanes without convergence are cleared in `go_on`.
 template <class T>
 inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
                              std::int64_t* iterations) {

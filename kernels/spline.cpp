@@ -1,4 +1,5 @@
-// Coefficients of the splines of frames, in bands of rows.
+// Spline coefficients of frames (fingerflow/ops/filters/spline.py), in pieces of 32 rows that threads share.
+// Layout: coefficients are floats, contiguous (batch, height, width).
 #include <algorithm>
 
 #include "interface.h"
@@ -9,7 +10,7 @@
 void fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch, std::int64_t height, std::int64_t width,
                                     std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads) {
     using namespace fingerflow;
-    constexpr std::int64_t rows = 32;  // of a piece of work
+    constexpr std::int64_t rows = 32;  // of a piece
     const Frames given{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)};
     const std::int64_t pieces = (height + rows - 1) / rows;
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {

@@ -1,4 +1,7 @@
 // build: each instruction set
+// Coefficients of a smoothing cubic spline: [1 2 1]' [1 2 1] / 16 of the pixels, the border repeated.
+// Layout: one pixel a lane; `line` holds one row of vertical sums with a pixel repeated at either end. The order of the
+// sums is that of the portable op: results agree bit for bit.
 #include "spline_rows.h"
 
 #include "lanes.h"
@@ -7,11 +10,10 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// The order of the sums is that of the portable op.
 template <class Pixel>
 void smooth(const Pixel* frame, const Frames& frames, std::int64_t top, std::int64_t bottom, float* memory, float* coefficients) {
     const std::int64_t width = frames.width;
-    float* FINGERFLOW_RESTRICT line = memory + 1;  // a pixel is repeated at either end
+    float* FINGERFLOW_RESTRICT line = memory + 1;  // the end pixels are repeated
     for (std::int64_t y = top; y < bottom; ++y) {
         const Pixel* FINGERFLOW_RESTRICT here = frame + y * frames.row_stride;
         const Pixel* FINGERFLOW_RESTRICT above = y > 0 ? here - frames.row_stride : here;

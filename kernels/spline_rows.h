@@ -1,4 +1,4 @@
-// Rows of the coefficients of splines.
+// Spline coefficients of some rows of a frame (spline.cpp).
 #pragma once
 
 #include "instruction_sets.h"
@@ -8,7 +8,7 @@ namespace fingerflow {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Rows from `top` to before `bottom` of the coefficients of a frame. `line` holds width + 2 numbers.
+    // Writes rows `top` to before `bottom` of a frame's coefficients. `line` has space for width + 2 floats.
     void spline_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, float* line, float* coefficients);
 )
 // clang-format on

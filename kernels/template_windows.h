@@ -1,4 +1,4 @@
-// The spline of a frame and its slopes on the window around a point, straight or deformed.
+// Samples of a frame's spline and its slopes on the window around a point, straight or deformed.
 #pragma once
 
 #include <math.h>
@@ -29,13 +29,13 @@ inline Matrix operator*(const Matrix& a, const Matrix& b) {
     return {a.xx * b.xx + a.xy * b.yx, a.xx * b.xy + a.xy * b.yy, a.yx * b.xx + a.yy * b.yx, a.yx * b.xy + a.yy * b.yy};
 }
 
-// What is not a number becomes `low`: nothing else is ever made an index.
+// Clamps to [low, high]; NaN becomes `low`, so that the result can be an index.
 inline float clamped(float value, float low, float high) { return value > low ? (value < high ? value : high) : low; }
 
-// px of coefficients around a window that is sampled up to a pixel beside a whole place.
+// px of coefficients around a window, for sampling up to a pixel off an integer position.
 constexpr int kMargin = 2;
 
-// Weights of the four taps around a position, the first one before its floor, and their derivatives.
+// B-spline weights of the four taps around a position, the first one before its floor, and their derivatives.
 constexpr int kOrder = 3, kTaps = kOrder + 1;
 template <class Number>
 inline void cubic_taps(Number fraction, Number* value, Number* slope) {
@@ -50,14 +50,14 @@ inline void cubic_taps(Number fraction, Number* value, Number* slope) {
     slope[3] = square * 0.5f;
 }
 
-// Whether the window of n px around a place lies in the frame, to kSlack.
+// Whether the window of n px around a position lies in the frame, to kSlack.
 inline bool contains(Vector place, const Frames& frames, int n) {
     const float least = static_cast<float>(n / 2) - kSlack;
     return place.x >= least && place.y >= least && place.x <= static_cast<float>(frames.width - 1) - least &&
            place.y <= static_cast<float>(frames.height - 1) - least;
 }
 
-// Whether all numbers of rows `stride` apart are finite.
+// Whether all floats of rows `stride` apart are finite.
 inline bool all_finite(const float* from, int rows, int columns, int stride) {
     Floats nothing = all(0);
     const int whole = columns / kFloats * kFloats;
@@ -73,13 +73,13 @@ inline bool all_finite(const float* from, int rows, int columns, int stride) {
     return finite;
 }
 
-// A pixel of a frame, or the nearest one; far beyond the border it does not matter how far.
+// A coordinate as an integer, clamped to 2 `reach` beyond the border.
 inline std::int64_t pixel_of(float place, std::int64_t count, int reach) {
     const float far = static_cast<float>(2 * reach);
     return static_cast<std::int64_t>(clamped(place, -far, static_cast<float>(count) + far));
 }
 
-// Coefficients, less a level, of a square of `side` px whose first pixel lies `before` px before a whole place.
+// Writes the coefficients, less `level`, of a square of `side` px that begins `before` px before an integer position.
 inline void cut_around(const Frames& frames, std::int64_t image, Vector center, int before, int side, float level, float* lines, float* to,
                        int stride) {
     const auto first = static_cast<float>(before);
@@ -87,7 +87,7 @@ inline void cut_around(const Frames& frames, std::int64_t image, Vector center, 
     const auto from = [&](const auto* data) { cut_patch(data + image * frames.frame_stride, frames, where, level, lines, to, stride); };
     if (frames.kind == kFloat32) {
         cut_patch(static_cast<const float*>(frames.data) + image * frames.frame_stride, frames, where, level, lines, to, stride);
-        // What lies behind a row is read too, times zero: it must be a number.
+        // Padding behind a row is read and multiplied by 0, so it must be finite.
         for (int r = 0; r < side; ++r)
             for (int c = side; c < stride; ++c) to[r * stride + c] = 0.0f;
         return;
@@ -95,7 +95,7 @@ inline void cut_around(const Frames& frames, std::int64_t image, Vector center, 
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
 }
 
-// A window, its rows so many whole vectors of numbers apart; zeros fill them.
+// A sampled window; rows are whole vectors, `row` floats apart, padded with zeros.
 struct Sampled {
     float* value;
     float* along_x;
@@ -105,7 +105,7 @@ struct Sampled {
 
 class WindowSampler {
 public:
-    // `memory` holds floats(window) numbers.
+    // `memory` has space for floats(window) floats.
     WindowSampler(int window, float* memory) : window_(window), rest_(window % kFloats) {
         const auto take = [&](int count) {
             float* piece = memory;
@@ -124,14 +124,14 @@ public:
                (wide(window) + 2) * wide(window) + kFloats;
     }
 
-    // The grey level that has been taken off: float32 sums then do not cancel.
+    // The grey level subtracted from the samples, so that float32 sums do not cancel.
     float level() const { return level_; }
 
-    // Whether every pixel that the last window asked for is a number: of a straight one the patch around its whole pixel, as
-    // the portable form has it, which is a product of matrices.
+    // Whether all pixels read for the last window are finite; for a straight one the whole patch around its integer
+    // pixel, as in the portable form, which multiplies matrices.
     bool finite() const { return finite_; }
 
-    // At place + w.
+    // Samples a window at place + w.
     void sample_straight(const Frames& frames, std::int64_t image, Vector place, const Sampled& to) {
         level_ = pixel(frames, image, place);
         to_ = to;
@@ -170,7 +170,7 @@ public:
             }
     }
 
-    // At place + A w, slopes with respect to w.
+    // Samples a window at place + A w, slopes with respect to w.
     void sample_warped(const Frames& frames, std::int64_t image, Vector place, const Matrix& warp, const Sampled& to) {
         level_ = pixel(frames, image, place);
         to_ = to;
@@ -182,7 +182,7 @@ public:
 
 private:
     static int side(int window) { return window + 2 * kMargin; }
-    static int wide(int window) { return patch_span(2 * side(window)); }  // side of what a warped window may reach over in one patch
+    static int wide(int window) { return patch_span(2 * side(window)); }  // side of the largest patch of a warped window
     static int wide_buffer(int window) { return wide(window) * wide(window) + 2 * kPatchBlock; }
 
     static float pixel(const Frames& frames, std::int64_t image, Vector place) {
@@ -208,7 +208,7 @@ private:
 
     void sample_somewhere(Vector place, const Matrix& warp) {
         constexpr float kLast = 2;
-        // Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
+        // Clamped to where all taps exist; a window that reaches beyond the frame is not used, whatever its samples.
         const float right = static_cast<float>((*frames_).width - 1) - kLast, bottom = static_cast<float>((*frames_).height - 1) - kLast;
         const auto outermost = static_cast<float>(window_ / 2);
         const float away_x = outermost * (fabsf(warp.xx) + fabsf(warp.xy)), away_y = outermost * (fabsf(warp.yx) + fabsf(warp.yy));
@@ -218,12 +218,12 @@ private:
         const bool in_one_piece = where.rows <= wide(window_) && stride <= wide(window_);
         if (in_one_piece) cut(where, wide_, stride);
 #if defined(FINGERFLOW_LOOKUP)
-        // Wholly inside, and no row of the window so steep or so stretched that a vector of its samples needs taps from more
-        // than five rows, or from more than two vectors of one.
+        // Fully inside, and rows of the window neither so steep nor so stretched that a vector of samples needs taps
+        // from more than five rows or from more than two vectors of a row.
         const bool inside = place.x - away_x >= 2 && place.y - away_y >= 2 && place.x + away_x <= right - 1 && place.y + away_y <= bottom - 1;
         constexpr float kApart = kFloats - 1;
         const bool gentle = warp.xx > 0 && warp.xx * kApart < 2 * kFloats - kTaps - 1 && fabsf(warp.yx) * kApart < 1;
-        // There a sample's row may weigh one that is not its own with zero: it must be a number.
+        // sample_gently weights foreign rows by 0, so they must be finite.
         if (in_one_piece && inside && gentle && (frames_->kind != kFloat32 || all_finite(wide_, where.rows, where.columns, stride)))
             return sample_gently(where, stride, place, warp);
 #endif
@@ -231,8 +231,8 @@ private:
     }
 
 #if defined(FINGERFLOW_LOOKUP)
-    // The samples of a vector need five rows of taps at most: each is loaded once, in two vectors, and its numbers are picked
-    // in registers. The cut patch is where they all are.
+    // Samples a gently deformed window from the cut patch: a vector of samples needs at most five rows of taps, each
+    // loaded once as two vectors from which the taps are selected in registers.
     void sample_gently(const Rectangle& where, int stride, Vector place, Matrix warp) const {
         const int n = window_, half = n / 2;
         Integers number;
@@ -245,7 +245,7 @@ private:
             const float down = static_cast<float>(r - half);
             const Vector row{place.x + warp.xy * down, place.y + warp.yy * down};
             for (int c = 0; c < n; c += kFloats) {
-                // Those behind the last column repeat it.
+                // Lanes behind the last column repeat it.
                 Floats along = numbers + static_cast<float>(c - half);
                 along = along < static_cast<float>(half) ? along : all(static_cast<float>(half));
                 const Floats x = all(warp.xx) * along + all(row.x), y = all(warp.yx) * along + all(row.y);
@@ -274,7 +274,7 @@ private:
                         FINGERFLOW_UNROLL
                         for (int i = 0; i < kTaps; ++i) add_row(i, below[i], below_slope[i]);
                     } else {
-                        // A sample that lies one row lower has its first tap one row later.
+                        // A sample one row lower has its first tap one row later.
                         const Integers lower = whole_y > top;
                         add_row(0, lower ? all(0) : below[0], lower ? all(0) : below_slope[0]);
                         FINGERFLOW_UNROLL
@@ -283,10 +283,11 @@ private:
                         add_row(kTaps, lower ? below[kTaps - 1] : all(0), lower ? below_slope[kTaps - 1] : all(0));
                     }
                 };
-                // Samples of a window that is hardly deformed lie as pixels do, but for a step of one: then of two loads one has it.
+                // In a slightly deformed window the taps of a vector are contiguous, apart from one step by a pixel:
+                // then each tap is in one of two loads.
                 const Integers ahead = index - __builtin_convertvector(along - static_cast<float>(c - half), Integers);
                 const int first = warp.xx < 1 ? ahead[kFloats - 1] : 0;
-                int others = 0;  // whether a step is another one
+                int others = 0;  // nonzero if another step occurs
                 for (int k = 0; k < kFloats; ++k) others |= (ahead[k] - first) & ~1;
                 if (others == 0) {
                     const Integers later = ahead > first;
@@ -329,12 +330,12 @@ private:
         store(to_.along_y + place, whole ? along_y : rest_.of(along_y));
     }
 
-    // Any window: samples are kept between the first and the last place with all its taps, which come from the cut patch, or
-    // from the frame itself.
+    // Samples any window: positions are clamped to where all taps exist; taps come from the cut patch or from the
+    // frame.
     void sample_anywhere(bool in_one_piece, const Rectangle& where, int stride, Vector last, Vector place, const Matrix& warp) {
         constexpr float kFirst = 1;
         const int n = window_, half = n / 2;
-        float* const columns = rows_;  // those behind the last one repeat it
+        float* const columns = rows_;  // those behind the last repeat it
         for (int k = 0; k < whole_floats(window_); ++k) columns[k] = static_cast<float>(k < n ? k - half : half);
         for (int r = 0; r < n; ++r) {
             const float down = static_cast<float>(r - half);
@@ -359,7 +360,7 @@ private:
         }
     }
 
-    // What samples of a warped window along one axis may touch, as far as the frame goes: from `first` on.
+    // Range of pixels that a warped window may read along one axis, within the frame.
     struct Range {
         std::int64_t first;
         int count;
@@ -367,7 +368,7 @@ private:
     static Range range(float place, float away, float limit) {
         const float low = place - away, high = place + away;
         if (!(is_finite(low) && is_finite(high))) return {0, static_cast<int>(limit) + kOrder};
-        // One pixel more on either side than the taps take, for rounding.
+        // One pixel more than the taps on either side, for rounding.
         const int begin = static_cast<int>(clamped(floorf(low), 1, limit)) - 2;
         const int end = static_cast<int>(clamped(floorf(high), 1, limit)) + kOrder, border = static_cast<int>(limit) + 2;
         const int from = begin < 0 ? 0 : begin;
@@ -378,14 +379,13 @@ private:
         Floats value, along_x, along_y;
     };
 
-    // The spline at positions whose taps lie anywhere: taps(k) gives the first of sample k, rows `stride` apart.
+    // Spline and slopes at arbitrary positions: taps(k) returns the first tap of sample k, rows `stride` floats apart.
     template <class Taps>
     static void interpolate(const Split& x, const Split& y, const Taps& taps, int stride, Samples* at) {
         Floats across[kTaps], across_slope[kTaps], below[kTaps], below_slope[kTaps];
         cubic_taps(x.fraction, across, across_slope);
         cubic_taps(y.fraction, below, below_slope);
-        // First down the columns, four at a time as they lie in memory, for one sample after the other; then across, for
-        // all samples at once.
+        // First down the columns, four at a time as they lie in memory, sample by sample; then across, for all lanes.
         float down_weights[kTaps][kFloats], down_slopes[kTaps][kFloats];
         for (int i = 0; i < kTaps; ++i) {
             store(down_weights[i], below[i]);

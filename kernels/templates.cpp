@@ -1,4 +1,7 @@
-// Points shared out to threads, a few neighbours at a time: their windows overlap, so that most pixels are in a near cache.
+// Register subsets (templates) prepared and found in frames (fingerflow/ops/tracking/templates.py): points are divided
+// into pieces that threads share.
+// Layout: samples (P, 3, n, n) hold values, gx and gy of a template, template statistics (P, 32). Points are processed
+// in bands of kBandPx rows, then by column, since windows of neighbours overlap and share cache lines.
 #include <algorithm>
 #include <cstdint>
 #include <utility>
@@ -18,7 +21,7 @@ fingerflow::Frames frames_of(const fingerflow_image& image, std::int64_t height,
     return {image.data, image.count, height, width, image.image_stride, image.row_stride, static_cast<fingerflow::PixelKind>(image.kind)};
 }
 
-// Numbers of places (count, 2), those of an image together, in bands of its rows by their columns.
+// Order of positions (count, 2): by image, then by band of rows, then by column.
 std::vector<std::int64_t> in_bands(const float* places, std::int64_t count, std::int64_t points_an_image, std::int64_t height) {
     std::vector<std::pair<std::pair<std::int64_t, float>, std::int64_t>> keys;
     keys.reserve(static_cast<std::size_t>(count));
@@ -26,7 +29,7 @@ std::vector<std::int64_t> in_bands(const float* places, std::int64_t count, std:
     const std::int64_t bands = static_cast<std::int64_t>(last) + 1;
     for (std::int64_t k = 0; k < count; ++k) {
         const float x = places[2 * k], band = places[2 * k + 1] / kBandPx;
-        const std::int64_t row = band > 0 ? static_cast<std::int64_t>(std::min(band, last)) : 0;  // 0 where it is not a number
+        const std::int64_t row = band > 0 ? static_cast<std::int64_t>(std::min(band, last)) : 0;  // 0 for NaN
         keys.push_back({{k / points_an_image * bands + row, x > 0 ? x : 0.0f}, k});
     }
     std::sort(keys.begin(), keys.end());
@@ -36,7 +39,7 @@ std::vector<std::int64_t> in_bands(const float* places, std::int64_t count, std:
     return order;
 }
 
-// work(first, last, workspace) for all points.
+// Calls work(first, last, workspace) for pieces of kAtATime points.
 template <class Work>
 void share_out(const Work& work, std::int64_t count, int window, int threads) {
     using namespace fingerflow;

@@ -1,6 +1,9 @@
 // build: each instruction set, fused
-// Templates prepared and found by steps of Lucas-Kanade, one point after the other; see fingerflow/ops/tracking/templates.py for
-// the equations. Sums run in another order than there, so results differ by rounding.
+// Templates of single points prepared, and found by Lucas-Kanade steps (fingerflow/ops/tracking/templates.py).
+// g is the template's gradient without its parts along a constant and along the values T; a step from a guess, where
+// the frame has the values M, is -(sum g g')^-1 sum g (M - T) / gain with gain = sum T M / sum T T.
+// Layout: one column of a window a lane; rows of a window begin at whole vectors, with at least kPadding zeros behind
+// its n samples. Sums run in another order than in the portable form, so results differ by rounding.
 #include "templates_points.h"
 
 #include <math.h>
@@ -21,10 +24,11 @@ namespace {
 
 constexpr float kTiny = 1e-20f;
 
-// --- preparation --------------------------------------------------------------------------------------------------------
+// --- preparation
+// --------------------------------------------------------------------------------------------------------
 
-// Numbers from one row of a template to the next: whole vectors, at least four zeros behind its samples.
-constexpr int kPadding = 4;  // the reach of the weights that pixels have in a sample, twice
+// Floats between rows of a template: whole vectors, with at least kPadding zeros behind the samples.
+constexpr int kPadding = 4;  // twice the reach of a pixel's weights in a sample
 constexpr int row_of(int n) { return whole_floats(n + kPadding); }
 
 class Preparer {
@@ -54,10 +58,10 @@ public:
 
     static std::int64_t floats(int n) { return WindowSampler::floats(n) + row_of(n) * (10 * n + 2 + 2 * (n + 2 * kPadding)); }
 
-    // The values, gx and gy of the last point, n rows of row_of(n) numbers.
+    // Values, gx and gy of the last point, n rows of row_of(n) floats.
     const float* const* samples() const { return of_; }
 
-    // Whether there is a point; start becomes NaN and numbers 0 where there is none.
+    // Prepares a template; returns false, with start NaN and statistics 0, where the point is not finite.
     bool prepare(std::int64_t point) {
         const std::int64_t image = point / all_.points_an_image;
         const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
@@ -75,7 +79,7 @@ public:
         const Sampled sampled{of_[0], slope_[0], slope_[1], row_};
         if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled);
         else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled);
-        if (!sampler_.finite()) of_[0][0] = NAN;  // and through the mean all others
+        if (!sampler_.finite()) of_[0][0] = NAN;  // which the mean spreads to all values
         numbers[kLevel] = sampler_.level() + take_mean();
         project();
         measure(all_.variance[image], numbers);
@@ -88,7 +92,7 @@ private:
     float count() const { return static_cast<float>(n_ * n_); }
     int steps() const { return n_ * row_; }
 
-    // Takes the mean off the values and returns it.
+    // Subtracts the mean from the values and returns it.
     float take_mean() {
         Floats sum[kFloats] = {};
         for (int k = 0; k < steps(); k += kFloats) sum[0] += load(of_[0] + k);
@@ -97,7 +101,7 @@ private:
         return mean;
     }
 
-    // The gradient without its parts along a constant and along the values.
+    // Projects the gradient: removes its parts along a constant and along the values.
     void project() {
         Floats of[whole_floats(5)] = {};
         for (int k = 0; k < steps(); k += kFloats) {
@@ -166,8 +170,9 @@ private:
         numbers[kCovarianceYy] = spread.yy;
     }
 
-    // What a deformation leaves in the residual: the products of the four ways in which it bends the window, less the parts that
-    // gain, offset and a shift take up. `pushing` are the eight sums of gx and gy times them.
+    // Quadratic form Q of the residual energy that a displacement gradient leaves: products of its four modes (slope
+    // times window coordinate), less the parts that gain, offset and a shift fit. `pushing`: the eight sums of gx, gy
+    // times the modes.
     void bend(const float* pushing, float* numbers) const {
         Floats of[whole_floats(18)] = {};
         for (int k = 0; k < steps(); k += kFloats) {
@@ -198,15 +203,15 @@ private:
             }
     }
 
-    // Sums of the products of what gx and gy are as weights of the pixels: [1 4 1] / 6 of the spline at a whole place, [1 2 1] / 4
-    // of its coefficients.
+    // Sums of products of gx and gy expressed as weights of the pixels: [1 4 1] / 6 of the spline at integer positions
+    // times [1 2 1] / 4 of its coefficients, along each axis.
     Matrix energy_of_pixels() {
         const Floats outer = all(1.0f / 24), inner = all(6.0f / 24), middle = all(10.0f / 24);
         const auto spread = [&](const float* from, int step) {
             return (load(from) + load(from - 4 * step)) * outer + (load(from - step) + load(from - 3 * step)) * inner + load(from - 2 * step) * middle;
         };
         for (int i = 0; i < 2; ++i) {
-            // Shifted by up to four numbers a line ends in the zeros behind it.
+            // A line shifted by up to four samples reads the zeros behind it.
             for (int k = 0; k < steps(); k += kFloats) store(padded_[i] + k, load(of_[1 + i] + k));
             float* const lines = lines_[i] + kPadding * row_;
             for (int k = 0; k < steps(); k += kFloats) store(lines + k, spread(padded_[i] + k, 1));
@@ -227,16 +232,17 @@ private:
     const int n_, row_;
     WindowSampler sampler_;
     float* of_[3]{};      // values, gx, gy
-    float* slope_[2]{};   // before the projection
+    float* slope_[2]{};   // gradient before the projection
     float* padded_[2]{};  // gx, gy
     float* lines_[2]{};
     float* right_ = nullptr;
     float* down_ = nullptr;
-    std::int32_t* inside_ = nullptr;  // which of a window's numbers are samples, -1, and which only fill, 0
+    std::int32_t* inside_ = nullptr;  // -1 where a float of the window is a sample, 0 where it is padding
     float energy_ = 0;
 };
 
-// --- search -------------------------------------------------------------------------------------------------------------
+// --- search
+// -------------------------------------------------------------------------------------------------------------
 
 struct Look {
     Vector found, estimate;
@@ -264,14 +270,14 @@ public:
         return 4 * n * row_of(n) + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
     }
 
-    // Names the point after this one: where points are found in a single frame, its template is fetched from a far cache line by
-    // line while this one is found. All at once, or without it, takes an eighth longer.
+    // Announces the next point: in a single frame its template is prefetched line by line while this point is found,
+    // which saves an eighth of the time.
     void expect(std::int64_t point) {
         awaited_ = reinterpret_cast<std::uintptr_t>(all_.samples + point * 3 * n_ * n_);
         for (int k = 0; k < kNumbers; k += 16) FINGERFLOW_PREFETCH(all_.numbers + point * kNumbers + k);
     }
 
-    // The samples of its template are those `prepared`, or else copied.
+    // Follows a point through all frames, with the samples `prepared`, or else those of `all_`.
     void follow(std::int64_t point, const float* const* prepared = nullptr) {
         const std::int64_t count = all_.batch * all_.points_an_image, batch = point / all_.points_an_image;
         const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
@@ -295,7 +301,7 @@ public:
             write(step * count + point, look);
             const bool tracked = look.status == kTracked;
             if (tracked) {
-                // One that was lost may be found beside where it was expected, which is no motion.
+                // A recovered point may lie off its prediction, which is no velocity.
                 if (seen) {
                     speed.x += kSpeedWeight * (look.found.x - place.x - speed.x);
                     speed.y += kSpeedWeight * (look.found.y - place.y - speed.y);
@@ -318,7 +324,7 @@ private:
 
     void begin(std::int64_t point) {
         const float* from = all_.samples + point * 3 * n_ * n_;
-        // Rows in whole vectors, as far as one more lies behind: what follows a row is the next one's, and becomes 0.
+        // Copies rows by whole vectors while these lie within the samples; floats of the next row become 0.
         const float* const end = from + 3 * n_ * n_;
         const int whole = n_ / kFloats * kFloats;
         const Beginning rest(n_ - whole);
@@ -352,7 +358,7 @@ private:
         all_.estimate[2 * place + 1] = look.estimate.y;
     }
 
-    // The pixels of the next frame, on their way while this one is looked at.
+    // Prefetches the pixels of the next frame.
     void fetch(std::int64_t image, Vector guess) const {
         if (!is_finite(guess)) return;
         const Frames& frames = all_.frames;
@@ -370,15 +376,15 @@ private:
         FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, rows)
     }
 
-    // Addresses behind the samples are harmless.
+    // Prefetching addresses beyond the samples is harmless.
     static void fetch_line(std::uintptr_t* address) {
         FINGERFLOW_PREFETCH(reinterpret_cast<const void*>(*address));
         *address += 64;
     }
 
-    // Steps from the guess on, each from where the one before has led, until one is short.
+    // Iterates from the guess until a step is short, or `rounds` steps were taken.
     Look look(std::int64_t image, Vector guess) {
-        const bool far = all_.steps == 1 && all_.samples != nullptr;  // the next template is still to be fetched
+        const bool far = all_.steps == 1 && all_.samples != nullptr;  // the next template has yet to be prefetched
         Look result = far ? one_step<true>(image, guess) : one_step<false>(image, guess);
         for (int round = 1; round < all_.rounds && result.status == kNotConverged; ++round) result = one_step<false>(image, result.estimate);
         return result;
@@ -395,7 +401,7 @@ private:
         return judge(image, guess, of);
     }
 
-    // Of the match M and the template T, gx, gy.
+    // Sums over the window: T M, gx M, gy M, M, M M.
     struct Sums {
         float tm, gx, gy, m, mm;
     };
@@ -416,7 +422,8 @@ private:
         std::memcpy(result, sum_of, sizeof *result);
     }
 
-    // Those of some columns, which are kept. Rows that are interpolated along x stay in registers until the window has passed.
+    // Adds the sums of a block of columns and stores M. Rows interpolated along x stay in registers for the four taps
+    // down.
     template <bool kInPart, bool kFetch>
     void block_sums(const float* from, int block, const float* across, const float* down, Floats* of) {
         const int stride = stride_, row = row_, n = n_;
@@ -456,7 +463,8 @@ private:
         of[4] = squares;
     }
 
-    // Sums over the window of D grad D, D = M - gain T - offset the residual: half the differences of D^2 between opposite edges.
+    // Sum over the window of D grad D for the residual D = M - gain T - offset: half the difference of D^2 between
+    // opposite edges.
     Vector edges(float gain, float offset) const {
         const int last_row = (n_ - 1) * row_;
         Floats down = all(0), right = all(0), left = all(0);
@@ -464,7 +472,7 @@ private:
             const Floats rest = load(matched_ + k) - load(samples_[0] + k) * all(gain) - all(offset);
             return rest * rest;
         };
-        // What fills up the rows is the same in both.
+        // Padding cancels in the difference of two rows.
         const int last = (n_ - 1) / kFloats * kFloats;
         for (int c = 0; c <= last; c += kFloats) down += square(last_row + c) - square(c);
         for (int k = 0; k <= last_row; k += row_) {
@@ -480,16 +488,16 @@ private:
         return {(of_right[n_ - 1 - last] - of_left[0]) / 2, sum / 2};
     }
 
-    // What one step from the guess finds.
+    // Result of one step from the guess: position, status, error and noise.
     Look judge(std::int64_t image, Vector guess, const Sums& of) const {
         const float samples = static_cast<float>(n_ * n_), energy = numbers_[kEnergy], some_energy = energy < kTiny ? kTiny : energy;
         const bool free = numbers_[kGain] > 0;
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
         const float gain = free ? of.tm / some_energy : 1.0f, steep = gain > 0 ? (gain > kLeastGain ? gain : kLeastGain) : 1 / kMostGain;
-        // The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
+        // The frame's gradient is taken as gain times the template's; the error of this is proportional to the step.
         const Vector missing{of.gx - numbers_[kConstantX], of.gy - numbers_[kConstantY]};
         const Vector last = inverse * Vector{missing.x / steep, missing.y / steep};
-        const bool converged = length(last) < kLastStep;  // what is not a number is no root
+        const bool converged = length(last) < kLastStep;  // false for NaN
         Look result;
         result.found = {guess.x - last.x, guess.y - last.y};
 
@@ -508,7 +516,7 @@ private:
         const float left_key = energy - noise_energy, left_frame = bb - noise_energy;
         const float common = (left_key < 0 ? 0 : left_key) * (left_frame < 0 ? 0 : left_frame);
         const float explained = of.tm > 0 ? (bb - unlike) * energy : 0.0f;
-        // A step that leads out of the frame, or into it, is no end.
+        // A step out of the frame that has not converged goes on.
         if (!is_within(result.found) && (converged || !is_within(guess))) result.status = kLeftFrame;
         else if (!is_finite(of.m)) result.status = kNotFinite;
         else if (!(numbers_[kTextured] > 0)) result.status = kNoTexture;
@@ -529,8 +537,8 @@ private:
 
     const TemplatesToFind& all_;
     const int n_, row_, stride_;
-    const float* numbers_ = nullptr;  // of the point
-    std::uintptr_t awaited_ = 0;  // address in the samples of the next one, from which on they are still to be fetched
+    const float* numbers_ = nullptr;  // template statistics of the point
+    std::uintptr_t awaited_ = 0;  // address of the next template's samples that are not yet prefetched
     Matrix spread_{};
     float* memory_[3]{};
     const float* samples_[3]{};

@@ -1,5 +1,9 @@
 // build: each instruction set, fused
-// Triangle by triangle as vectors, then what their corners add to the points one after the other.
+// Strain, energy and corner forces of the triangles of one frame (triangle_strain.cpp).
+// The displacement gradient of a triangle is sum_corner u grad(phi); its energy density is direct (exx^2 + eyy^2) +
+// between exx eyy + shear exy^2, from which the mean energy of the points' noise is subtracted.
+// Layout: one triangle a lane, which gathers its corners from planes of u, v and covariances; corner forces are planes
+// (3, triangles) and are added to the points one by one.
 #include "triangle_strain_frame.h"
 
 #include <float.h>
@@ -14,12 +18,12 @@ namespace {
 
 inline float known_or_zero(float value) { return value == value ? value : 0.0f; }
 
-// Planes of a frame: of points, then of triangles.
+// Planes of a frame, by points, then by triangles.
 struct Planes {
     float *u, *v, *uu, *uv, *vv;             // (points)
-    float* sums;                             // (points, 3): forces along x and y, energy of the noise
-    float *force_x, *force_y, *noise;        // (3, triangles), per area
-    float *energy, *counted;                 // (triangles): density, area that counts
+    float* sums;                             // (points, 3): forces along x and y, noise energy
+    float *force_x, *force_y, *noise;        // (3, triangles), per unit area
+    float *energy, *counted;                 // (triangles): density and area of those that count
 
     Planes(float* memory, std::int64_t points, std::int64_t triangles)
         : u(memory), v(u + points), uu(v + points), uv(uu + points), vv(uv + points), sums(vv + points),
@@ -40,7 +44,7 @@ void take_apart(const TriangleFrame& frame, std::int64_t points, const Planes& p
     }
 }
 
-// Strain, density and forces of the corners.
+// Strain, energy density and corner forces.
 void deform(const Triangles& of, const TriangleFrame& frame, const Planes& planes) {
     const std::int64_t count = of.count;
     const std::int32_t *FINGERFLOW_RESTRICT a = of.corners, *FINGERFLOW_RESTRICT b = a + count, *FINGERFLOW_RESTRICT c = b + count;
@@ -78,7 +82,7 @@ void deform(const Triangles& of, const TriangleFrame& frame, const Planes& plane
     }
 }
 
-// Deviations of the strain and the energy of the noise, by the errors of the corners.
+// Standard deviations of the strain and the noise energy, from the covariances of the corners.
 void deviate(const Triangles& of, const TriangleFrame& frame, const Planes& planes) {
     const std::int64_t count = of.count;
     const std::int32_t* FINGERFLOW_RESTRICT corners = of.corners;
@@ -119,7 +123,7 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
         whole += static_cast<double>(frame.in_contact[t] != 0 ? known_or_zero(of.areas[t]) : 0.0f);
         seen += static_cast<double>(planes.counted[t]);
     }
-    // Triangles that are not known count like the others; where they are most, nobody knows.
+    // Unknown triangles are assumed to have the mean of the known ones; NaN where less than half the area is known.
     if (!(seen > 0 && seen >= whole / 2)) {
         *frame.energy = *frame.own = static_cast<double>(NAN);
         memset(frame.forces, 0, static_cast<std::size_t>(2 * of.points) * sizeof(float));

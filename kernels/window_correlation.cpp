@@ -1,4 +1,5 @@
-// Windows shared out to threads, a few at a time.
+// Deformed windows sampled for subset verification (fingerflow/ops/tracking/window_correlation.py), 32 windows a piece.
+// Layout: places (windows, 2), warp (windows, 2, 2), results (windows, side, side) floats.
 #include <algorithm>
 
 #include "interface.h"

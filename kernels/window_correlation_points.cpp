@@ -1,6 +1,7 @@
 // build: each instruction set, fused
-// Keys' cubic convolution on the grids of deformed windows, a vector of samples at a time: down the columns as pixels lie
-// in memory, sample by sample, then across for all of them.
+// Samples of deformed windows, image(place + warp w) at the grid points w, by Keys' cubic convolution.
+// Layout: one sample a lane; taps are weighted down the columns sample by sample, four pixels of a row at a time as
+// they lie in memory, then across for all lanes at once.
 #include "window_correlation_points.h"
 
 #include <math.h>
@@ -16,11 +17,11 @@ namespace FINGERFLOW_ISA {
 namespace {
 
 constexpr int kTaps = 4;
-constexpr float kKeys = -0.75f;  // the slope at the next pixel, that of torch's bicubic sampling
+constexpr float kKeys = -0.75f;  // Keys' parameter a, as in torch's bicubic sampling
 
 int side_of(int reach, int step) { return 2 * reach / step + 1; }
 
-// Weights of the taps at -1, 0, 1 and 2, for fractions from 0 to 1.
+// Weights of the taps at -1, 0, 1 and 2 for fractions in [0, 1].
 void taps_of(const Floats& fraction, Floats* weights) {
     const Floats rest = 1.0f - fraction;
     weights[0] = fraction * rest * rest * kKeys;
@@ -43,7 +44,7 @@ Floats4 four(const Pixel* from) {
 }
 
 #if defined(__AVX2__) && (defined(__GNUC__) || defined(__clang__))
-// Compilers would widen bytes one by one.
+// Compilers would convert the bytes one by one.
 Floats4 four(const std::uint8_t* from) {
     int bytes;
     std::memcpy(&bytes, from, sizeof bytes);
@@ -55,7 +56,7 @@ class Sampler {
 public:
     Sampler(const WindowsToSample& all, float* memory)
         : all_(all), side_(side_of(all.reach, all.step)), samples_(side_ * side_), right_(memory), down_(memory + whole_floats(samples_)) {
-        // What fills up the last vector repeats the last sample.
+        // The last vector is padded with the last sample.
         for (int k = 0; k < whole_floats(samples_); ++k) {
             const int sample = k < samples_ ? k : samples_ - 1;
             right_[k] = static_cast<float>(sample % side_ * all.step - all.reach);
@@ -74,7 +75,7 @@ public:
         const Pixel* const image = images + all_.image_index[window] * frames.frame_stride;
         const std::int64_t row = frames.row_stride;
         const float *const place = all_.places + 2 * window, *const warp = all_.warp + 4 * window;
-        // All taps exist from the first of these pixels to the last.
+        // Between these pixels all taps exist.
         const float last_x = static_cast<float>(frames.width - 3), last_y = static_cast<float>(frames.height - 3);
         for (int first = 0; first < samples_; first += kFloats) {
             const Floats right = load(right_ + first), down = load(down_ + first);
@@ -105,7 +106,7 @@ public:
     }
 
 private:
-    // A deformed square lies in the image, less a pixel around it, where its corners do; where one is not a number it does not.
+    // Whether the four corners of a deformed window lie in the image less a border of one pixel; false for NaN.
     bool is_inside(std::int64_t window) const {
         const float *const place = all_.places + 2 * window, *const warp = all_.warp + 4 * window;
         const float most_x = static_cast<float>(all_.frames.width - 2), most_y = static_cast<float>(all_.frames.height - 2);
@@ -121,7 +122,7 @@ private:
 
     const WindowsToSample& all_;
     const int side_, samples_;
-    float *const right_, *const down_;  // px of the samples from the middle, in whole vectors
+    float *const right_, *const down_;  // offsets of the samples from the centre in px, padded to whole vectors
 };
 
 }  // namespace

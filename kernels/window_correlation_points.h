@@ -1,4 +1,4 @@
-// Deformed windows of frames by cubic convolution, some of them: the piece of work of one thread.
+// Samples of some deformed windows by cubic convolution, the piece of one thread (window_correlation_points.cpp).
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/tracking/window_correlation.py has them: steps of a window's grid go from -reach to reach, `step` px apart.
+// Windows of fingerflow/ops/tracking/window_correlation.py: grids from -reach to reach, `step` px apart.
 struct WindowsToSample {
     Frames frames;
     const std::int64_t* image_index;  // (N)

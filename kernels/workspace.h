@@ -1,4 +1,4 @@
-// Memory that a thread keeps from one piece of work to the next.
+// Workspace that each thread keeps from one piece to the next.
 #pragma once
 
 #include <cstddef>
@@ -7,10 +7,10 @@
 
 namespace fingerflow {
 
-// Whose it is: that of a piece of work, or of the caller of all pieces, who has two beside it.
+// Independent workspaces of a thread: for a piece, for the caller of all pieces, and for the caller's sums.
 enum class Keeper : int { kPiece, kCaller, kSums };
 
-// At least `bytes` bytes, aligned to 64, with any content; valid until the thread asks again for the same keeper.
+// At least `bytes` bytes, aligned to 64, of any content; valid until the thread's next request for the same keeper.
 template <Keeper keeper = Keeper::kPiece>
 inline void* workspace(std::size_t bytes) {
     static thread_local std::unique_ptr<unsigned char[]> memory;

@@ -167,7 +167,7 @@ def test_the_package_itself_loads_nothing() -> None:
         ("kernels", "from fingerflow.kernels import tensors"),
         ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),
         ("models", "from fingerflow.ops.fields.strain import curl"),
-        ("recordings", "from fingerflow.pipeline.stages.trial.inputs import Inputs"),
+        ("recordings", "from fingerflow.pipeline.stages.preparation.inputs import Inputs"),
         ("stages", "from fingerflow.pipeline.run import process"),
         ("report", "from fingerflow.cli import main"),
         ("player", "import torch"),

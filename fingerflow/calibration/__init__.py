@@ -1,4 +1,4 @@
-"""The calibration of a rig from frames of a target with discs and of a ring: scale and view-to-view transform."""
+"""Calibration of a rig from frames of a disc target and of a ring: scale and transform between the views."""
 
 from fingerflow.calibration.calibration import Calibration, is_calibration
 from fingerflow.calibration.discs import find_discs

@@ -1,4 +1,4 @@
-"""The calibration of a rig: millimetres a pixel, and where a point of one view is in the other."""
+"""Calibration of a rig: millimetres per pixel, and the transform from one view to the other."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,10 +17,10 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What the calibration frames say. All pixels are those of a view, (x, y), integers at pixel centres.
+    """Scale, transforms and discs of a rig. All pixels are those of a view, (x, y), integers at pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
-    `affine` and `similarity` are the transforms topography -> contact; with one view only there are none and no discs.
+    `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
     """
 
     mm_per_px: float
@@ -34,11 +34,11 @@ class Calibration:
 
     @property
     def topography_to_contact(self) -> Array | None:
-        """The affine (2, 3) from (x, y, 1) px of the topography view to (x, y) px of the contact view."""
+        """Return the affine (2, 3) from (x, y, 1) px of the topography view to (x, y) px of the contact view."""
         return None if self.affine is None else self.affine.matrix
 
     def to_toml(self) -> str:
-        """The text of a calibration file. Numbers are written in full, so that reading gives the same calibration."""
+        """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
             f"mm_per_px = {_written(self.mm_per_px)}",
@@ -60,9 +60,9 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """The calibration in a file with the text of `to_toml`.
+        """Return the calibration in a file with the text of `to_toml`.
 
-        Raises FingerflowError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
+        Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """
         try:
             found = read_calibration(Path(path))
@@ -81,7 +81,7 @@ class Calibration:
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether a file is what `to_toml` writes."""
+    """Return True if a file is a calibration as `to_toml` writes it."""
     try:
         read_calibration(path)
     except CalibrationError:
@@ -94,7 +94,7 @@ def _section(title: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """Numbers, NumPy's too, and lists of them as TOML has them, in full."""
+    """Format numbers, also NumPy's, and lists of them for TOML, at full precision."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(_written, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))

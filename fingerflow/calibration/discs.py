@@ -1,4 +1,4 @@
-"""Dark discs in a view, wherever they are and however unevenly they are lit."""
+"""Detection of dark discs in a view, at any position and under uneven light."""
 
 import cv2
 import numpy as np
@@ -7,15 +7,15 @@ from numpy.typing import ArrayLike
 from fingerflow.calibration.edge import Array, Disc, fit_disc
 from fingerflow.errors import FingerflowError
 
-# Radii that are looked for, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06.
+# Range of radii searched, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06.
 DISC_RADII = (0.015, 0.15)
 # One octave of rings in pixels; larger ones are the same rings on a reduced image.
 RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
 # Mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
 LEAST_AGREEMENT = 0.4
 MOST_CANDIDATES = 16
-# What a fit must show to be called a disc. On the lab's frames the true discs have a coverage of 0.98 to 1, an edge
-# within 0.04 of the radius and a significance of 17 to 41; texture reaches 8.
+# Limits for a fit to count as a disc. On the lab's frames the true discs have a coverage of 0.98 to 1, an edge RMS of
+# at most 0.04 of the radius and a significance of 17 to 41; texture reaches 8.
 LEAST_COVERAGE = 0.75
 LEAST_AXIS_RATIO = 0.6
 MOST_EDGE_RMS = 0.07
@@ -23,18 +23,18 @@ LEAST_SIGNIFICANCE = 10.0
 
 
 def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count: int = 3) -> list[Disc]:
-    """The `count` most significant dark discs of a view (H, W), the best first; fewer where there are fewer.
+    """Return the `count` most significant dark discs of a view (H, W), the best first; fewer if fewer are found.
 
-    Only the direction of the brightness gradient votes, so that a disc in the shade counts as much as one in the light
-    and no illumination needs dividing out. That is also why `background`, the view without the target, is not divided
-    by (its lamp is another one, and most of it is black): what is round and dark there as well belongs to the rig and
-    is left out. Raises FingerflowError for an image that is not (H, W) or not finite.
+    Only the direction of the brightness gradient votes, so a disc in the shade counts as much as one in the light and
+    no illumination needs to be divided out. `background`, the view without the target, is therefore not divided by: its
+    lamp is another one, and most of it is black. A round dark object that is also in the background belongs to the rig
+    and is left out. Raises FingerflowError for an image that is not (H, W) or not finite.
     """
     return find_dark_discs(view_image, background, DISC_RADII)[:count]
 
 
 def find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
-    """All discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
+    """Return all discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
     image = _checked(view_image, "the view")
     empty = None if background is None else _checked(background, "the background of the view")
     if empty is not None and empty.shape != image.shape:
@@ -75,7 +75,7 @@ def _is_disc(disc: Disc) -> bool:
 
 
 def _is_there(background: Array | None, disc: Disc) -> bool:
-    """Whether the same disc is in the background, where there is one."""
+    """Return True if the background contains the same disc; False without a background."""
     if background is None:
         return False
     same = fit_disc(background, disc.center, disc.radius_px)
@@ -92,7 +92,7 @@ def _distance(disc: Disc, other: Disc) -> float:
 
 
 def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tuple[float, float], float]]:
-    """(centre, radius) px of circles across which the image gets brighter in most directions, the best first."""
+    """Return (centre, radius) px of circles across which the image gets brighter in most directions, the best first."""
     spread = float(np.ptp(image))
     if spread == 0:
         return []
@@ -108,7 +108,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
         if radii:
             votes += _votes_of_octave(levels, reduction, radii)
         reduction *= 2
-    # Chance agrees as well with a small circle as with a large one, but texture mostly with small ones.
+    # Chance agreement does not depend on the radius, but texture agrees mostly with small circles.
     votes.sort(key=lambda vote: -vote[0] * np.sqrt(vote[3]))
     best: list[tuple[tuple[float, float], float]] = []
     for _, x, y, radius in votes:
@@ -123,16 +123,16 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """(agreement, x, y, radius) px of the local maxima of the agreement, in the pixels of the full image."""
+    """Return (agreement, x, y, radius) px of the local maxima of the agreement, in pixels of the full image."""
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)
     reduced = blocks.mean(axis=(1, 3))
-    # What varies over more than the largest ring is light, not a disc.
+    # Variation over more than the largest ring is illumination, not a disc.
     image = cv2.GaussianBlur(reduced, (0, 0), 1.2) - cv2.GaussianBlur(reduced, (0, 0), RING_RADII_PX[-1])
     slope_x, slope_y = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
     steepness = np.hypot(slope_x, slope_y)
-    # The median is the slope of texture and noise: below it a direction means nothing, above it all count alike.
+    # The median is the slope of texture and noise: gradients below it get little weight, those above it equal weight.
     length = np.hypot(steepness, np.median(steepness)) + 1e-7
     slope_x, slope_y = slope_x / length, slope_y / length
     votes = []
@@ -148,7 +148,7 @@ def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[
 
 
 def _ring(radius: float) -> tuple[Array, Array]:
-    """The outward unit vectors (x, y) of a soft ring, which add up to 1 in length; wide enough for an ellipse."""
+    """Return the outward unit vectors (x, y) of a soft ring, weighted to sum to 1 in length; wide enough for an ellipse."""
     width = 0.12 * radius
     reach = int(np.ceil(radius + 3 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

@@ -1,9 +1,9 @@
-"""One dark disc, to a fraction of a pixel: an ellipse fitted to its edge.
+"""Sub-pixel fit of one dark disc: an ellipse fitted to its edge.
 
-The image is unwrapped along the current ellipse: a row is an angle, a column a radius. In this picture the edge is a
-straight line, so smoothing along it and across it does not pull it inwards, as smoothing the image itself would (by
-sigma^2 / 2R for a circle of radius R). The steepest point of every ray is an edge point; an ellipse goes through
-them by robust geometric least squares; the next round unwraps along that ellipse.
+The image is unwrapped along the current ellipse: rows are angles, columns are radii. In the unwrapped image the edge is
+a straight line, so smoothing along and across it does not shift it inwards. Smoothing the image itself would (by
+sigma^2 / 2R for a circle of radius R). The steepest point of every ray is an edge point. An ellipse is fitted to
+them by robust geometric least squares, and the next iteration unwraps along that ellipse.
 """
 
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 Array = NDArray[np.float64]
 
-# Half widths of the search band as fractions of the radius: wide while the ellipse is a guess, then narrow.
+# Half widths of the search band as fractions of the radius: wide while the ellipse is uncertain, then narrow.
 SEARCH_BANDS = (0.45, 0.3, 0.2, 0.2)
-# Edge points further off than this many robust standard deviations count for nothing (Tukey's biweight).
+# Edge points farther off than this many robust standard deviations get weight 0 (Tukey's biweight).
 TUKEY_LIMIT = 4.685
-# What the edge finder itself is worth, px: on noise-free drawings its points lie up to 0.025 off the best ellipse. A
-# smaller spread would reject points that are as good as the others, and the coverage would say so of a perfect disc.
+# Accuracy of the edge detection itself, px: on noise-free drawings its points lie up to 0.025 off the best ellipse. A
+# smaller spread would reject points as good as the others and lower the coverage of a perfect disc.
 LEAST_EDGE_SPREAD_PX = 0.01
-# A ragged edge is correlated along the contour, so the number of its points says little about the error of the centre.
-# In polar form harmonic 1 is a shift of the centre and harmonic 2 the ellipse: the next ones tell what the
-# raggedness may have done to the first.
+# The errors of a ragged edge are correlated along the contour, so the number of its points does not give the error of
+# the centre. In polar form harmonic 1 is a shift of the centre and harmonic 2 the ellipse. The next harmonics estimate
+# the contribution of the raggedness to harmonic 1.
 RAGGEDNESS_HARMONICS = range(3, 9)
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A dark disc in a view, seen as an ellipse. Pixels are those of the view, (x, y), integers at pixel centres.
+    """A dark disc in a view, imaged as an ellipse. Pixels are those of the view, (x, y), integers at pixel centres.
 
     `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
     `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
@@ -49,19 +49,19 @@ class Disc:
 
     @property
     def radius_px(self) -> float:
-        """Radius of the circle of equal area."""
+        """Return the radius of the circle of equal area."""
         return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
 
     @property
     def axis_ratio(self) -> float:
-        """Shorter over longer axis, at most 1."""
+        """Return the shorter over the longer axis, at most 1."""
         return self.semi_axes_px[1] / self.semi_axes_px[0]
 
 
 def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Disc | None:
-    """The dark disc in an image (H, W) near a guessed circle, whose centre is in the image.
+    """Fit the dark disc in an image (H, W) near a guessed circle, whose centre is in the image.
 
-    None where there is no edge around it, or the fit wanders off.
+    Returns None if there is no edge around it, or if the fit diverges from the guess.
     """
     middle, inverse = np.asarray(center, dtype=np.float64), np.eye(2) / radius_px
     for band in SEARCH_BANDS:
@@ -93,7 +93,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 @dataclass(frozen=True)
 class _Unwrapped:
-    """Grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}, `shape` being the other inverse.
+    """Grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}; `shape` is the inverse of `inverse`.
 
     `factors` are the radii as multiples of the ellipse's own.
     """
@@ -108,14 +108,14 @@ class _Unwrapped:
     shape: Array
 
     def edge_points(self) -> tuple[Array, Array]:
-        """The steepest point of every ray (N, 2) and its angle (N,); rays that have none are left out."""
+        """Return the steepest point of every ray (N, 2) and its angle (N,); rays without one are left out."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
         peak = np.argmax(slope[:, 1:-1], axis=1) + 1
         ray = np.arange(len(peak))
         before, at, after = slope[ray, peak - 1], slope[ray, peak], slope[ray, peak + 1]
-        # A peak at the end of the band is no peak: the edge of something else lies beyond.
+        # A maximum at the end of the band is rejected: it belongs to the edge of another object beyond it.
         good = np.isfinite(before) & np.isfinite(after) & (at > 0) & (at >= before) & (at > after)
         before, at, after, angle = before[good], at[good], after[good], self.angles[good]
         offset = (before - after) / (2 * (before - 2 * at + after))
@@ -124,20 +124,20 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """The contrast (outside - inside) / outside, and the mean step over its spread from ray to ray."""
+        """Return the contrast (outside - inside) / outside, and the mean step over its spread from ray to ray."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
         inside = self.levels[whole][:, self.factors < 0.9].mean(axis=1)
         outside = self.levels[whole][:, self.factors > 1.1].mean(axis=1)
-        # A ramp of light across the disc is a cosine along the contour: it is taken out of the spread.
+        # A linear gradient of light across the disc is a cosine along the contour: it is excluded from the spread.
         angles = self.angles[whole]
         shading = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
         coefficients = np.linalg.lstsq(shading, outside - inside, rcond=None)[0]
         spread = float(np.std(outside - inside - shading @ coefficients))
         step = float(coefficients[0])
         light = float(outside.mean())
-        # A hundredth of the step is taken as spread in any case: a noise-free drawing is not infinitely significant.
+        # A spread of 0.01 of the step is always added, so that a noise-free drawing is not infinitely significant.
         return step / light if light > 0 else 0.0, step / (np.hypot(spread, 0.01 * step) + 1e-300)
 
 
@@ -152,7 +152,7 @@ def _unwrap(image: Array, middle: Array, inverse: Array, band: float) -> _Unwrap
     y = middle[1] + circle[:, 1:] * factors
     height, width = image.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    # The cubic spline is made of this patch alone; its memory fades by 0.27 a pixel and is gone after the margin of 12.
+    # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after 12.
     left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
     patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
     sigma_px = float(np.clip(0.06 * radius, 1.0, 3.0))
@@ -169,10 +169,10 @@ def _unwrap(image: Array, middle: Array, inverse: Array, band: float) -> _Unwrap
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Robust geometric least squares by Gauss-Newton: (middle, inverse, weights), or None where it fails."""
+    """Fit by robust geometric least squares (Gauss-Newton); return (middle, inverse, weights), or None if it fails."""
     if len(points) < 12:
         return None
-    # Few steps: the next round starts where this one ends.
+    # Few iterations suffice: the next unwrapping starts from this result.
     for _ in range(6):
         distances, jacobian = _distances(points, middle, inverse)
         scale = max(1.4826 * float(np.median(np.abs(distances))), LEAST_EDGE_SPREAD_PX)
@@ -191,7 +191,7 @@ def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, A
 
 
 def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array]:
-    """Signed distances (N,) px to the ellipse, to first order (Sampson 1982), and their Jacobian (N, 5).
+    """Return signed distances (N,) px to the ellipse, to first order (Sampson 1982), and their Jacobian (N, 5).
 
     The unknowns are the centre (x, y) and the symmetric inverse shape (xx, xy, yy), which, unlike axes and an angle, is
     regular at a circle.
@@ -214,7 +214,7 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Standard deviation px of the centre from the raggedness of the contour (see RAGGEDNESS_HARMONICS)."""
+    """Return the standard deviation (px) of the centre from the contour's raggedness (see RAGGEDNESS_HARMONICS)."""
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

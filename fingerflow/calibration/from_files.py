@@ -1,4 +1,4 @@
-"""From files of a ring and of a target to a calibration file, and the picture beside it of what was found."""
+"""Calibration from files of a ring and of a target to a calibration file, with an overlay image of the result."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,20 +24,20 @@ def calibrate_files(
     output: Path | str = FILE,
     overwrite: bool = False,
 ) -> Calibration:
-    """Finds scale and view-to-view transform, and writes them; what was found is drawn beside the file, as a PNG.
+    """Determine scale and view-to-view transform and write them; the result is also drawn to a PNG beside the file.
 
     Args:
-        ring: a picture, or a recording of which the first frame is taken; so are the other two.
+        ring: an image, or a recording whose first frame is used; likewise the other two.
         target: with three discs; None for one view, which needs the scale alone.
         background: the empty glass.
-        views: where "contact", and with a target "topography", lie in a frame. Those that are not given are the right
-            and the left half of a frame, or all of it without a target.
+        views: parts of a frame with "contact" and, with a target, "topography". The defaults are the right
+            and the left half of a frame; without a target the whole frame is "contact".
         hole_radius_mm: of the ring.
         output: the calibration file.
         overwrite: replace a file of that name that is no calibration.
 
     Raises:
-        FingerflowError: as of `calibrate`; a file cannot be read or written, would replace an input, or is not ours.
+        FingerflowError: as `calibrate`; a file cannot be read or written, would replace an input, or is not ours.
     """
     output, given = Path(output), dict(views or {})
     if target is None and "topography" in given:
@@ -55,14 +55,14 @@ def calibrate_files(
     for path in (output, picture):
         spare(path, *inputs)
     keep_others(output, is_calibration, overwrite)
-    # The picture has no mark of its own: it is ours where the file beside it is.
+    # The image carries no mark: it is ours if the file beside it is a calibration.
     keep_others(picture, lambda _: output.exists() and is_calibration(output), overwrite)
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
         write_atomically(picture, lambda part: draw_overlay(part, found, target_frame, ring_frame))
 
-    # Both or none: nothing but a renaming is left when the picture is there.
+    # Both files or none: once the image is written, only a renaming remains.
     write_atomically(output, write_both)
     return found
 

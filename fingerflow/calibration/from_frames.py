@@ -1,4 +1,4 @@
-"""From frames of the registration target and the scale ring to a calibration; no coordinate is set by hand."""
+"""Calibration from frames of the registration target and the scale ring; no coordinate is set by hand."""
 
 from collections.abc import Mapping
 
@@ -13,9 +13,9 @@ from fingerflow.calibration.ring import find_hole
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.views import View
 
-# So many more discs than the target has are looked at: stains and dust are sorted out by the shape of the target.
+# Number of candidate discs beyond those of the target: the target's shape then rejects stains and dust.
 SPARE_DISCS = 6
-# What is worth a warning. The lab's frames have 0.984, 0.10 px and 0.44 px.
+# Limits for a warning. The lab's frames have 0.984, 0.10 px and 0.44 px.
 LEAST_HOLE_AXIS_RATIO = 0.97
 MOST_SIMILARITY_RMS_PX = 1.0
 MOST_CENTER_SIGMA_PX = 1.0
@@ -29,11 +29,11 @@ def calibrate(
     background: ArrayLike | None = None,
     disc_count: int = 3,
 ) -> Calibration:
-    """The calibration from a frame (H, W) of the registration target and one of the scale ring.
+    """Compute the calibration from a frame (H, W) of the registration target and one of the scale ring.
 
-    `views` names the parts of a frame: "contact", and "topography" where there is a target. A single-view recording has
+    `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
     no target (None) and needs the ring alone. `background` is a frame without either. `disc_count` is the number of
-    discs on the target. Raises FingerflowError where a view, a disc or the hole is missing, the discs do not fit, or
+    discs on the target. Raises FingerflowError if a view, a disc or the hole is missing, the discs do not match, or
     the frames differ in size.
     """
     if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):

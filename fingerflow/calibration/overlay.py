@@ -1,4 +1,4 @@
-"""A picture in which a person can judge a calibration by eye."""
+"""Overlay image for visual inspection of a calibration."""
 
 from pathlib import Path
 from typing import Any
@@ -17,18 +17,18 @@ from fingerflow.calibration.registration import Transform
 
 LABELS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 CHECKER_PX = 64
-# A label is about this share of a view wide: further right it stands on the left of its disc.
+# Approximate width of a label as a share of the view: farther right it is placed to the left of its disc.
 LABEL_SHARE = 0.36
-# Uneven light is taken out over this share of the shorter side of a view.
+# Scale on which uneven light is removed, as a share of the shorter side of a view.
 LIGHT_SHARE = 1 / 8
 
 
 def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike | None, ring: ArrayLike) -> None:
-    """Write a PNG with what was found drawn over the frames (H, W) that the calibration was made from.
+    """Write a PNG with the detected discs and hole drawn over the frames (H, W) of the calibration.
 
-    Above: both views of the target with the discs, and the ring with its hole. Below: the topography view, moved onto
-    the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges run on across the squares),
-    and every disc enlarged, above in the topography and below in the contact view. Without a target: the ring alone.
+    Top: both views of the target with the discs, and the ring with its hole. Bottom: the topography view transformed to
+    the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges continue across squares),
+    and every disc enlarged, from the topography above and the contact view below. Without a target: the ring alone.
     """
     contact_view = calibration.views["contact"]
     hole_image = contact_view.crop(np.asarray(ring))
@@ -138,7 +138,7 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 
 
 def _visible(image: Array) -> NDArray[np.uint8]:
-    """8 bits with the uneven light taken out over an eighth of the view; for the eye only."""
+    """Return 8 bits with uneven light removed on the scale of an eighth of the view; for display only."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
@@ -148,13 +148,13 @@ def _visible(image: Array) -> NDArray[np.uint8]:
 
 
 def _even(image: Array) -> NDArray[np.uint8]:
-    """8 bits with the same mean and contrast everywhere, so that two views under different lamps can be compared."""
+    """Return 8 bits with uniform mean and contrast, so that two views under different lamps can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
-    # Twice, for what is left of the slope of the light.
+    # Applied twice, to remove the remaining slope of the light.
     level = smooth - _blurred_over_light(smooth)
     level -= _blurred_over_light(level)
     spread = np.sqrt(_blurred_over_light(level**2))
-    # Where there is only noise it is not stretched as far as the target is.
+    # The added constant limits the amplification of noise where there is no structure.
     relative = level / (spread + 0.2 * float(spread.max()) + 1e-9)
     result: NDArray[np.uint8] = np.clip(150 + 60 * relative, 0, 255).astype(np.uint8)
     return result

@@ -1,4 +1,4 @@
-"""From the discs of one view to those of another: which is which, and the transform between the two."""
+"""Registration of two views: correspondence of their discs, and the transform between them."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
@@ -9,39 +9,39 @@ from numpy.typing import ArrayLike, NDArray
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.errors import FingerflowError
 
-# Share of its size by which a triangle may differ from the other view's after the best similarity. A compression of
-# one axis to 0.8 gives 0.11, to 0.7 gives 0.18. The typical value ranks; beyond the limit it is another triangle.
+# Residual between two triangles after the best similarity, relative to their size. A compression of one axis to 0.8
+# gives 0.11, to 0.7 gives 0.18. The typical value scales the score; beyond the limit the triangles do not match.
 TYPICAL_DISTORTION, MOST_DISTORTION = 0.05, 0.2
 # The same for the natural logarithm of the ratio of the discs' radii to the ratio of the triangles.
 TYPICAL_SIZE_ERROR, MOST_SIZE_ERROR = 0.1, 0.3
-# Lowest height of a triangle over its longest side: below it the transform across the line is a guess.
+# Smallest height of a triangle over its longest side: below it the transform across the line is undetermined.
 LEAST_HEIGHT = 0.1
-# A mirror image that fits better by this share of the size is one; an isosceles triangle is its own mirror image.
+# Margin (share of the size) by which a mirror image must fit better: an isosceles triangle is its own mirror image.
 MIRROR_MARGIN = 0.02
-# A second labelling of the same discs that is at least this good, relative to the best, makes both a guess.
+# Relative score above which a second labelling of the same discs makes the match ambiguous.
 AMBIGUOUS = 0.5
 
 
 @dataclass(frozen=True)
 class Transform:
-    """`matrix` (2, 3) float64, from (x, y, 1) px to (x, y) px; `residuals_px` (N, 2), found minus transformed."""
+    """Transform `matrix` (2, 3) float64, from (x, y, 1) px to (x, y) px; `residuals_px` (N, 2), found minus transformed."""
 
     matrix: Array
     residuals_px: Array
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of the residuals."""
+        """Return the root mean square length of the residuals."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 
 def match_discs(from_discs: list[Disc], to_discs: list[Disc], count: int = 3) -> list[tuple[Disc, Disc]]:
-    """The same `count` discs in two views, as pairs: the largest first, then clockwise as seen in the image (y down).
+    """Return the same `count` discs in two views as pairs: the largest first, then clockwise in the image (y down).
 
-    The labels follow from the shape alone: of all pairs of triangles the one is taken that agrees best up to a
-    similarity, in the positions and in the sizes of the discs, weighted by their significance. Discs beyond three must
-    lie where the affine of these three sends them. Raises FingerflowError where there are fewer discs than `count`, all
-    lie on a line, one view is mirrored, no triangle agrees, or two labellings agree equally well.
+    The labels follow from the shape alone. Of all pairs of triangles, the pair is chosen that agrees best up to a
+    similarity, in the positions and sizes of the discs, weighted by their significance. Discs beyond three must
+    lie where the affine of these three maps them. Raises FingerflowError if there are fewer discs than `count`, all
+    lie on a line, one view is mirrored, no triangle agrees, or two labellings agree about equally well.
     """
     if count < 3:
         raise FingerflowError(f"{count} discs were asked for; a transform between two views needs at least 3")
@@ -59,7 +59,7 @@ def match_discs(from_discs: list[Disc], to_discs: list[Disc], count: int = 3) ->
 
 
 def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """The affine transform (N, 2) px to (N, 2) px: exact for three points, least squares for more.
+    """Fit the affine transform (N, 2) px to (N, 2) px: exact for three points, least squares for more.
 
     Raises FingerflowError for fewer than three points, or points on a line.
     """
@@ -72,7 +72,7 @@ def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
 
 
 def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """The rotation, scale and shift (N, 2) px to (N, 2) px of least squared residuals; never a reflection.
+    """Fit rotation, scale and shift (N, 2) px to (N, 2) px by least squares; never a reflection.
 
     With z and w the centred points as complex numbers it is w = s z, s = sum(conj(z) w) / sum(|z|^2).
     Raises FingerflowError for fewer than two points, or points that coincide.
@@ -102,14 +102,14 @@ def _transform(linear: Array, source: Array, target: Array) -> Transform:
 
 
 def _centered_complex(points: Array) -> NDArray[np.complex128]:
-    """Points (..., N, 2) as x + iy about their mean (..., N)."""
+    """Return points (..., N, 2) as x + iy about their mean (..., N)."""
     centered = points - points.mean(axis=-2, keepdims=True)
     result: NDArray[np.complex128] = centered[..., 0] + 1j * centered[..., 1]
     return result
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
-    """The triples of discs (T, 3) that are no line."""
+    """Return the triples of discs (T, 3) that are not collinear; raises FingerflowError if there are none."""
     indices = np.array(triples)
     corners = np.array([disc.center for disc in discs])[indices]
     sides = np.roll(corners, -1, axis=1) - corners
@@ -185,7 +185,7 @@ def _log_radii_and_weights(discs: list[Disc]) -> tuple[Array, Array]:
 def _with_further_discs(
     triple: list[tuple[Disc, Disc]], from_discs: list[Disc], to_discs: list[Disc], count: int
 ) -> list[tuple[Disc, Disc]]:
-    """The triple and the most significant discs that lie within half a radius of where its affine sends them."""
+    """Return the triple and the most significant discs within half a radius of where its affine maps them."""
     matrix = fit_affine([pair[0].center for pair in triple], [pair[1].center for pair in triple]).matrix
     scale = np.sqrt(abs(np.linalg.det(matrix[:, :2])))
     further = []

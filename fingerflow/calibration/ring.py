@@ -1,4 +1,4 @@
-"""The hole of the scale ring: a dark disc whose size is known in millimetres."""
+"""Detection of the scale ring's hole: a dark disc whose size is known in millimetres."""
 
 from numpy.typing import ArrayLike
 
@@ -6,15 +6,15 @@ from fingerflow.calibration.discs import find_dark_discs
 from fingerflow.calibration.edge import Disc
 from fingerflow.errors import FingerflowError
 
-# Radii that are looked for, as shares of the shorter side of the view. The lab's ring has 0.156.
+# Range of radii searched, as shares of the shorter side of the view. The lab's ring has 0.156.
 HOLE_RADII = (0.05, 0.45)
 
 
 def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Disc:
-    """The hole of a flat ring in a view (H, W): the most significant large dark disc.
+    """Return the hole of a flat ring in a view (H, W): the most significant large dark disc.
 
-    Its `axis_ratio` tells how obliquely the ring is seen, its `radius_px` is that of the circle of equal area.
-    Raises FingerflowError where there is none; for `background` and other errors see `find_discs`.
+    Its `axis_ratio` shows how obliquely the ring is imaged; its `radius_px` is that of the circle of equal area.
+    Raises FingerflowError if there is none; for `background` and other errors see `find_discs`.
     """
     holes = find_dark_discs(view_image, background, HOLE_RADII)
     if not holes:

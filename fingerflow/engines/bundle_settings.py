@@ -1,4 +1,4 @@
-"""What a recipe says of an engine."""
+"""Engine settings from the recipe of a deployment bundle."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from fingerflow.engines.engine import EngineSettings
 
 
 def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
-    """Return the settings with which the graphs of a recipe were exported: the engine of its bundle has these.
+    """Return the engine settings with which the graphs of a bundle were exported.
 
     Args:
-        recipe: of bundle.json, with all its keys.
+        recipe: that of bundle.json, with all its keys.
     """
     contact, tracking = recipe["contact"], recipe["tracking"]
     return EngineSettings(

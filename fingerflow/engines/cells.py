@@ -1,4 +1,4 @@
-"""Values read between cells of a picture, in NumPy: as `ops.contact.cells` does."""
+"""Bilinear interpolation of the density margin between cells, in NumPy: the same as `ops.contact.cells`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _NOWHERE = np.float32(-1e4)
 
 
 def covered(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:
-    """Return whether the apparent contact covers points, (K, N) bool; False beyond the view and where a point is NaN.
+    """Return whether the apparent contact covers points, (K, N) bool; False outside the view and where a point is NaN.
 
     Args:
-        density_margin: (K, 1, h, w) of `Contact`, cells of `cell` px.
+        density_margin: (K, 1, h, w) of `FrameContact`, on cells of `cell` px.
         points: (K, N, 2) px of the topography view.
-        topography_to_contact: (2, 3) px to px.
-        cell: px.
+        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
+        cell: px, side of a cell.
     """
     matrix = np.asarray(topography_to_contact, np.float32)
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
@@ -35,14 +35,15 @@ def covered(density_margin: Array, points: Array, topography_to_contact: Array, 
 
 
 def _at_places(cells: Array, x: Array, y: Array) -> Array:
-    """Bilinear values (K, N) of cells (K, 1, h, w) at places (K, N) in cells; the nearest cell's beyond the middle of
-    the outermost.
+    """Return bilinear values (K, N) of cells (K, 1, h, w) at positions (K, N) in units of cells.
+
+    Positions beyond the middle of the outermost cells are clamped to it.
     """
     height, width = cells.shape[-2:]
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     left, top = (np.clip(np.floor(at), 0, max(size - 2, 0)) for at, size in ((x, width), (y, height)))
     first = (top * width + left).astype(np.intp)
-    right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
+    right, down = min(1, width - 1), width * min(1, height - 1)  # index steps to the next cell, 0 if there is none
     flat = cells.reshape(len(cells), -1)
     a, b, c, d = (np.take_along_axis(flat, first + step, 1) for step in (0, right, down, down + right))
     across, along = x - left, y - top

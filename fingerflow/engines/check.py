@@ -1,4 +1,7 @@
-"""A built-in frame whose numbers a bundle states: an engine that gives others computes wrongly on this computer."""
+"""Check of an engine by a built-in frame, for which the deployment bundle holds the expected results.
+
+An engine with other results computes wrongly on this computer.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +14,27 @@ import numpy as np
 from fingerflow.engines.engine import Array, Engine
 from fingerflow.errors import FingerflowError
 
-THRESHOLD = 0.4875  # of the light of the glass: between two grey levels, whatever the lamp does by half a per cent
+# Relative intensity loss: its limit lies between two grey levels, even if the illumination gain is off by 0.5 %.
+THRESHOLD = 0.4875
 _GLASS, _RIDGE, _VALLEY = 200.0, 40.0, 180.0  # grey levels of 255
 _WAVES = 24
 _STRETCH = np.array([[1.01, 0.004], [-0.003, 0.995]])
 _SHIFT = np.array([0.3, -0.2])
-_BESIDE = 0.2  # px by which points are expected beside where they are
+_BESIDE = 0.2  # px, error of the predicted positions
 _MARGIN = 8  # px from a window to the border
-_UNKNOWN = 7  # of so many points one is none
-_FLIPS = 0.01  # share of the points that may be found by one alone
+_UNKNOWN = 7  # every 7th point is NaN
+_FLIPS = 0.01  # share of the values that may be finite in only one of both results
 
 
 class Tolerance(NamedTuple):
-    """The largest difference that rounding explains, as a share of the number where it is `relative`, and its unit."""
+    """Largest difference that rounding explains, as a share of the value if `relative`, and its unit."""
 
     most: float
     unit: str
     relative: bool = False
 
 
-#: Two engines differ by up to 2e-5 px; 1e-3 px is what is promised. A cell at the border may count for one alone.
+#: Engines differ by up to 2e-5 px; 1e-3 px is guaranteed. A cell at the border may be in contact for one engine only.
 TOLERANCES = {
     "real_area_px": Tolerance(1e-3, "of itself", relative=True),
     "gross_area_px": Tolerance(1e-3, "of itself", relative=True),
@@ -38,19 +42,19 @@ TOLERANCES = {
     "semi_axes": Tolerance(0.1, "px"),
     "found": Tolerance(1e-3, "px"),
     "corrected": Tolerance(1e-3, "px"),
-    # Of a frame without noise, whose residual is a difference of nearly equal sums.
+    # The frame has no noise: its residual is a difference of nearly equal sums.
     "deviation": Tolerance(0.05, "of itself", relative=True),
 }
 
 
 class BuiltIn(NamedTuple):
-    """Views (H, W) of the built-in frame, and N points of it.
+    """Views (H, W) of the built-in frame, and N points in it.
 
     Attributes:
-        empty, contact: of the glass, without and with something that touches.
-        key, topography: of a texture, and of the same texture shifted and stretched by a per cent.
+        empty, contact: contact view without and with contact.
+        key, topography: topography view of a texture, and of the same texture shifted and stretched by one per cent.
         points: (N, 2) px in `key`, NaN for none.
-        expected: (N, 2) px near which they lie in `topography`.
+        expected: (N, 2) px, predicted positions of the points in `topography`.
     """
 
     empty: Array
@@ -62,14 +66,14 @@ class BuiltIn(NamedTuple):
 
 
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
-    """Compare what an engine computes of the built-in frame with the numbers of a bundle.
+    """Check the results of an engine for the built-in frame against those stored in a bundle.
 
     Args:
-        engine: for the views and the number of points of the bundle.
-        expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and its numbers.
+        engine: created for the views and the number of points of the bundle.
+        expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and its results.
 
     Raises:
-        FingerflowError: they differ by more than rounding explains.
+        FingerflowError: they differ by more than rounding explains, or `expected` is damaged.
     """
     try:
         height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
@@ -103,7 +107,7 @@ def _sentence(engine: Engine, found: str) -> str:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Return what an engine computes of the built-in frame: keys of `TOLERANCES`."""
+    """Compute the results of an engine for the built-in frame, by the keys of `TOLERANCES`."""
     light = engine.light(frame.empty.astype(np.float32), None)
     contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
     templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
@@ -120,7 +124,7 @@ def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
 
 
 def built_in(height: int, width: int, bit_depth: int, points: int, window_px: int) -> BuiltIn:
-    """Return the built-in frame of this size, and so many points of it."""
+    """Return the built-in frame of this size with so many points."""
     y, x = np.mgrid[:height, :width].astype(np.float64)
     middle = np.array([width / 2, height / 2])
     along, across = (x - middle[0]) / (0.36 * width), (y - middle[1]) / (0.3 * height)
@@ -146,17 +150,17 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
 
 
 def _texture(x: Array, y: Array) -> Array:
-    """Grey levels of waves 7 to 20 px long in all directions, so that no place looks like another."""
+    """Return grey levels of a sum of waves 7 to 20 px long in all directions: no two places look alike."""
     total = np.zeros_like(x)
     for wave in range(_WAVES):
-        turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and section: nothing repeats
+        turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and ratio: nothing repeats
         total += np.sin(2 * math.pi / length * (math.cos(turn) * x + math.sin(turn) * y) + wave * wave)
     levels: Array = 120 + 80 / math.sqrt(2 * _WAVES) * total
     return np.clip(levels, 0, 255)
 
 
 def _spread(height: int, width: int, count: int, margin: int) -> Array:
-    """(count, 2) px all over a view, but for its margin."""
+    """Return points (count, 2) px spread evenly over a view without its margin."""
     columns = math.ceil(math.sqrt(count * width / height))
     number, rows = np.arange(count), -(-count // columns)
     places = []

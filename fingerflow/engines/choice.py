@@ -1,4 +1,4 @@
-"""Which engine computes: chosen here alone."""
+"""Choice of the engine for a recording or a stream."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
     from fingerflow.engines.torch import Modules
 
-#: Of a recording: native where it serves and torch elsewhere, the compiled library, torch, ONNX Runtime.
+#: Engines of a recording: "auto" takes native where it can be used and torch elsewhere; then the engines by name.
 ENGINES = ("auto", "native", "torch", "onnx")
-#: Of a stream: the compiled library, the graphs of a bundle by ONNX Runtime; by default the first that serves.
+#: Engines of a stream: the compiled library, and the graphs of a bundle by ONNX Runtime. Default: the first that works.
 STREAM_ENGINES = ("native", "onnx")
 log = logging.getLogger("fingerflow.player")
 
 
 class PlayableBundle(Protocol):
-    """What is asked of a deployment bundle."""
+    """Interface of a deployment bundle, as far as an engine needs it."""
 
     @property
     def recipe(self) -> Mapping[str, Any]: ...
@@ -36,20 +36,21 @@ class PlayableBundle(Protocol):
 
     @property
     def engine_settings(self) -> EngineSettings:
-        """With which its graphs were exported."""
+        """Return the settings with which its graphs were exported."""
         ...
 
 
 def engine_for(name: str, settings: EngineSettings, device: torch.device, modules: Modules | None = None) -> Engine:
-    """The engine of a recording.
+    """Return the engine of a recording.
 
     Args:
-        name: "auto" for native on a processor with the compiled library, and torch elsewhere; "native", "torch".
+        name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
+        settings: of the engine.
         device: on which tensors are computed.
-        modules: gives the module to call in place of one (`engines.torch`), which asks for the engine torch.
+        modules: replaces each module by another callable (`engines.torch`); the engine is then torch.
 
     Raises:
-        FingerflowError: native is asked for where it does not serve.
+        FingerflowError: native is requested where it cannot be used.
     """
     from fingerflow.engines.torch import TorchEngine, as_it_is
     from fingerflow.kernels.tensors import serve
@@ -68,20 +69,21 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device, module
 
 
 def engine_of_stream(bundle: PlayableBundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
-    """The engine of a stream; one line of the log says which, and why.
+    """Return the engine of a stream, and log which one it is and why.
 
-    Native is tried first: it serves where the library loads and gives the numbers of the bundle's built-in frame. Else
-    ONNX Runtime does, with the graphs of the bundle, by the first execution provider that runs them and gives these
-    numbers too.
+    Native is tried first: it is taken if the library loads and reproduces the expected results of the bundle for the
+    built-in frame. Otherwise ONNX Runtime computes the graphs of the bundle, with the first execution provider that
+    runs them and reproduces these results.
 
     Args:
-        bundle: whose settings and graphs are taken.
-        name: of `STREAM_ENGINES`, which insists; None for the first that serves.
-        provider: of ONNX Runtime, by its short name, which insists; None for the first that serves.
+        bundle: deployment bundle with the settings and the graphs.
+        name: one of `STREAM_ENGINES`, with no fallback to the other; None for the first that works.
+        provider: short name of an execution provider, with no fallback to others if ONNX Runtime is taken; None for the
+            first that works.
         threads: inside an operator of ONNX Runtime.
 
     Raises:
-        FingerflowError: the engine that is insisted on does not serve, or none does.
+        FingerflowError: the requested engine or provider does not work, or none does.
     """
     why = "it was asked for"
     if name != "onnx":
@@ -115,7 +117,7 @@ def engine_of_stream(bundle: PlayableBundle, name: str | None, provider: str | N
 
 
 def _why_not_native(bundle: PlayableBundle) -> str:
-    """Why the compiled library does not serve a bundle; empty where it does."""
+    """Return why the compiled library cannot be used for a bundle; an empty string if it can."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"
     if bundle.recipe["export"]["precision"] != "float32":

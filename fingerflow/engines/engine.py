@@ -1,4 +1,4 @@
-"""The interface of an engine, and the arrays that it takes and gives."""
+"""Interface of the engines, and the arrays that they take and return."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-# Points per call of the graphs that take a subset of them; also the most that a stream searches for in one frame.
+# Batch size of the graphs that process a subset of the points; also the largest number of points that a stream searches
+# for in one round of lost-point recovery.
 ROWS = 64
-Images = Any  # frames (K, 1, H, W) as an engine holds them: they have a length, and slices of frames
+Images = Any  # frames (K, 1, H, W) in the engine's own representation: they have a length and can be sliced by frame
 
 
 @dataclass(frozen=True)
 class EngineSettings:
-    """What an engine needs to know beside its arrays, as a scene or a recipe has it.
+    """Settings of an engine, taken from a scene or a recipe.
 
     Attributes:
-        median_px, gross_radius_px, cell_px, stride_px: of the contact (`graphs.ContactGraph`).
-        window_px, gain_offset, forward_backward_limit_px: of a template and of what is found of it.
-        search_px: how far from its prediction a lost point is searched for; 0 for not at all.
-        min_distance_px: between points that are seeded.
-        gauge_length_mm: of the fields.
-        strain: measure of strain, as in `ops.green_lagrange`.
+        median_px, gross_radius_px, cell_px, stride_px: sizes for the contact (`graphs.ContactGraph`).
+        window_px, gain_offset: side of a template window; whether gain and offset of its grey levels are free.
+        forward_backward_limit_px: largest forward-backward distance of a tracked point.
+        search_px: distance from its prediction within which a lost point is searched for; 0 for no search.
+        min_distance_px: between seeded points.
+        gauge_length_mm: gauge length (virtual strain gauge) of the fields.
+        strain: strain measure, one of `kernels.field_limits.STRAIN_MEASURES`.
     """
 
     median_px: int = 3
@@ -42,7 +44,10 @@ class EngineSettings:
 
 
 class GlassLight(NamedTuple):
-    """What the empty glass gives each pixel: counts of light and counts without light, as the engine holds them."""
+    """Counts of each pixel for the empty glass, in the engine's own representation.
+
+    `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
+    """
 
     light: Any
     black: Any
@@ -52,11 +57,11 @@ class FrameContact(NamedTuple):
     """Contact of K frames, in px of the contact view; ellipses are NaN without contact.
 
     Attributes:
-        real_contact_mask: (K, 1, H, W) bool, the micro-junctions; None where the engine leaves it out.
-        real_area_px, gross_area_px: (K,) px.
-        center, semi_axes: (K, 2) px; angle (K,) rad, from x towards y.
-        density_margin: (K, 1, h, w) of the apparent contact on cells, as `ops.contact.cells.covered` takes it.
-        light_gain: (K,) brightness of the lamp, 1 that of the empty glass; NaN where no glass is seen.
+        real_contact_mask: (K, 1, H, W) bool, the micro-junctions; None if the engine does not return it.
+        real_area_px, gross_area_px: (K,) px, areas of the real and of the apparent (gross) contact.
+        center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
+        density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `ops.contact.cells.covered`.
+        light_gain: (K,) illumination gain relative to the reference of the empty glass; NaN where no glass is visible.
     """
 
     real_contact_mask: Array | None
@@ -70,18 +75,18 @@ class FrameContact(NamedTuple):
 
 
 class KeyFrame(NamedTuple):
-    """A key frame as the engine holds it, and the standard deviation of its noise, grey levels."""
+    """Key frame in the engine's own representation, and the standard deviation of its noise in grey levels."""
 
     image: Images
     noise: float
 
 
 class TemplateBuffers(Protocol):
-    """Templates of N points, in buffers of the engine."""
+    """Templates of N points in buffers of the engine."""
 
     @property
     def numbers(self) -> Array:
-        """(N, 32) template statistics (`kernels.tracking_limits.Number`)."""
+        """Return the template statistics (N, 32), in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
@@ -93,7 +98,7 @@ class FoundPoints(NamedTuple):
         error: (K, N) px, forward-backward distance.
         covariance: (K, N, 2, 2) px^2, NaN as the points.
         status: (K, N) uint8 (`kernels.tracking_limits.TrackStatus`).
-        estimate: (K, N, 2) px, where to look next.
+        estimate: (K, N, 2) px, position from which the search continues; that of a tracked point is `points`.
     """
 
     points: Array
@@ -104,16 +109,16 @@ class FoundPoints(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """(K, N) px^2, mean of both components."""
+        """Return the variance of the positions (K, N) px^2, the mean of both components."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Some frames, or all frames and some points."""
+        """Return a selection of frames, of all points or of some."""
         return FoundPoints(*(one[frames][:, points] for one in self))
 
 
 class Followed(NamedTuple):
-    """What was found in K frames, and place and speed (N, 2) px of the points after the last one."""
+    """Points found in K frames; their position (N, 2) px and speed (N, 2) px a frame after the last one."""
 
     found: FoundPoints
     place: Array
@@ -121,13 +126,13 @@ class Followed(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """What was found, corrected for the deformation of the skin.
+    """Points corrected for the deformation of the skin.
 
     Attributes:
         found: with corrected points and covariances.
         warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
-        shift: (K, N) px by which the edge of a window has moved since its template was prepared.
-        expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
+        shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
+        expected: (K, N, 2) px, position predicted from the neighbours of a point; NaN where too few are known.
     """
 
     found: FoundPoints
@@ -137,7 +142,7 @@ class Corrected(NamedTuple):
 
 
 class FrameEllipse(NamedTuple):
-    """Apparent contact of K frames in mm: center (K, 2), semi_axes (K, 2), angle (K,) rad."""
+    """Ellipses of the apparent contact of K frames, mm: center (K, 2), semi_axes (K, 2), angle (K,) rad."""
 
     center: Array
     semi_axes: Array
@@ -145,12 +150,12 @@ class FrameEllipse(NamedTuple):
 
 
 class EnteredPoints(NamedTuple):
-    """Points that were advected into the contact (`tracker.entry`), with the gradient since their own entry.
+    """Points that were advected into the contact (`tracker.entry`), with displacement gradients since their own entry.
 
     Attributes:
-        among: (K, N) bool.
+        among: (K, N) bool, True for the points that were advected.
         gradient: (K, N, 2, 2), NaN where it is not known.
-        covariance: (K, N, 2, 2, 2, 2), or None.
+        covariance: (K, N, 2, 2, 2, 2) of the gradient, or None.
     """
 
     among: Array
@@ -159,14 +164,14 @@ class EnteredPoints(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) of values at queries, and their covariance (K, Q, C, 2, C, 2) if variances are given."""
+    """Gradients (K, Q, C, 2) at query points, and their covariance (K, Q, C, 2, C, 2), None without variances."""
 
     gradient: Array
     covariance: Array | None
 
 
 class FrameFields(NamedTuple):
-    """Fields at N points of K frames and medians over the apparent contact, as `graphs.fields.Fields` has them."""
+    """Fields at N points of K frames and medians over the apparent contact, defined as in `graphs.fields.Fields`."""
 
     divergence: Array
     curl: Array
@@ -181,15 +186,15 @@ class FrameFields(NamedTuple):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Computes frames and holds no history: templates and key frames are the caller's, made and read by the engine.
+    """Interface of an engine: computation of frames without a history.
 
-    Calls from several threads at once are allowed, but for `update`. Positions are (x, y) px with integer pixel
-    centres, float32.
+    The engine creates and reads templates and key frames; the caller keeps them. All methods but `update` may be called
+    from several threads at once. Positions are (x, y) px, float32; pixel centres lie at integers.
 
     Attributes:
         name: "native", "torch" or "onnx".
-        described: the name, and what there is to say of it: "onnx (CPUExecutionProvider)".
-        settings: with which it was made.
+        described: name with its device or provider, as in "onnx (CPUExecutionProvider)".
+        settings: with which it was created.
         cell_px: side of the cells of the apparent contact.
     """
 
@@ -199,82 +204,101 @@ class Engine(Protocol):
     cell_px: int
 
     def images(self, frames: Array) -> Images:
-        """Frames (K, H, W) of a view, of 8 to 16 bit or floating point, as the engine holds them; without a copy where
-        it can. They are not written to.
+        """Return frames (K, H, W) of a view, 8 to 16 bit or floating point, in the engine's own representation.
+
+        They are not copied where this can be avoided, and never written to.
         """
         ...
 
     def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        """`ops.glass_light` of the empty glass (H, W) and of the view without light, counts; no light, so that nothing
-        touches, where a mask (H, W) bool is False.
+        """Return `ops.glass_light` of the empty glass (H, W) and of the view without light (H, W), counts.
+
+        Where the mask `inside` (H, W) bool is False, `light` is set to 0, so that no contact is found there.
         """
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Contact by the relative intensity loss (K,) above which a pixel touches; NaN: nothing touches."""
+        """Return the contact for thresholds (K,) of relative intensity loss: above it a pixel touches; NaN for none."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
-        """(K,) relative intensity loss half-way between ridges and the skin beside them; NaN without contact."""
+        """Return the relative intensity loss (K,) half-way between ridges and the skin beside them.
+
+        It is NaN without contact.
+        """
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """(K, N) bool, whether the apparent contact covers points (K, N, 2) px of the topography view; (2, 3)."""
+        """Return a mask (K, N) of the points (K, N, 2) px of the topography view that the apparent contact covers.
+
+        `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
+        """
         ...
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
-        """(n, 2) px, up to `count` points worth tracking in the part (H, W) bool of a view; the strongest first."""
+        """Return up to `count` points (n, 2) px worth tracking inside a mask (H, W) bool, strongest first."""
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """A copy of a frame (1, 1, H, W), with its noise."""
+        """Return a copy of a frame (1, 1, H, W) with its noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
-        """Templates of points (N, 2) px of a key frame, for its deformation (N, 2, 2); NaN points match nothing."""
+        """Return templates of points (N, 2) px of a key frame, deformed by `warp` (N, 2, 2).
+
+        Points that are NaN match nothing.
+        """
         ...
 
     def update(self, templates: Any, rows: Array, updated: Any) -> None:
-        """Replaces the templates of these rows (L,) by those of `prepare`."""
+        """Replace the templates of the rows (L,) by those that `prepare` has returned."""
         ...
 
     def follow(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
-        """Templates, or some rows (L,) of them, found in frames that follow each other.
+        """Track templates, or the rows (L,) of them, through consecutive frames.
 
-        They are expected at `place` + `speed` (N or L, 2) in the first one, and on by the rule of `tracker.motion`. A
-        point that lies further off than a look reaches is looked for where this has led, up to five times.
+        Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
+        `tracker.motion`. A point that one step does not reach is tracked on from where the step ended, in up to
+        `kernels.tracking_limits.ROUNDS` steps.
         """
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Corrects for the deformation that templates do not know (`graphs.DeformationGraph`).
+        """Correct points for the deformation of which their templates do not know (`graphs.DeformationGraph`).
 
-        Start (N, 2) px in the key frame, numbers (N, 32) and inverse deformation (N, 2, 2) of the templates.
+        `start` (N, 2) px lies in the key frame; statistics `numbers` (N, 32) and inverse deformation (N, 2, 2) are
+        those of the templates.
         """
         ...
 
     def neighbours(self, start: Array) -> Any:
-        """What `outliers` needs to know of points (N, 2) px of a key frame."""
+        """Return the neighbour lists of points (N, 2) px of a key frame, an input of `outliers`."""
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """(K, N) bool twice: off their neighbours, and far more uncertain than they (`ops.tracking.outliers`)."""
+        """Return two masks (K, N): points off their neighbours, and far more uncertain (`ops.tracking.outliers`)."""
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Places (n, 2) px of points of a key frame around guesses (n, 2), and whether (n,) the way back returns."""
+        """Return positions (n, 2) px of key frame points, searched for around guesses (n, 2).
+
+        Also return whether (n,) the search backward returns to the start.
+        """
         ...
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
-        """(N, m) grey levels on a grid of `step` px in deformed windows around places (N, 2) of frames (N,)."""
+        """Return grey levels (N, m) of deformed windows around places (N, 2) px, sampled on a grid of `step` px.
+
+        `number` (N,) is the frame of each window.
+        """
         ...
 
     def noise(self, image: Images) -> float:
-        """Standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
+        """Return the standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """`ops.local_gradients` in float64: points (N, 2), values (K, N, C), queries (Q, 2), variance (K, N)."""
+        """Fit `ops.local_gradients` in float64: points (N, 2), values (K, N, C), queries (Q, 2), variance (K, N)."""
         ...
 
     def fields(
@@ -285,12 +309,12 @@ class Engine(Protocol):
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        """Fields of displacements (K, N, 2) mm at reference positions (N, 2) mm over the gauge length."""
+        """Return fields of displacements (K, N, 2) mm at reference positions (N, 2) mm, over the gauge length."""
         ...
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Of no points in so many frames."""
+    """Return the result of so many frames for 0 points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

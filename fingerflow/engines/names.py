@@ -1,6 +1,6 @@
-"""Names of the graphs of a bundle."""
+"""Names of the graphs of a deployment bundle."""
 
-#: Graphs of a bundle that an engine needs, in the order in which they can run.
+#: Graphs of a deployment bundle that an engine needs, in an order in which they can run.
 GRAPHS = (
     "light",
     "contact",

@@ -1,4 +1,4 @@
-"""The engine that calls the compiled library with NumPy arrays: no torch, a few large calls a frame."""
+"""Engine that calls the compiled library with NumPy arrays: no torch, a few large calls a frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS,
 
 @dataclass
 class _NativeTemplates:
-    """Templates of N points: start (1, N, 2), samples and numbers as `kernels.prepare_templates` gives them."""
+    """Templates of N points: start (1, N, 2), samples and numbers, as `kernels.tracking.prepare_templates` returns."""
 
     arrays: tuple[Array, Array, Array]
 
@@ -43,15 +43,14 @@ class _NativeTemplates:
         return numbers
 
     def of(self, rows: Array) -> tuple[Array, ...]:
-        """Those of some rows (L,)."""
+        """Return the arrays of some rows (L,)."""
         return tuple(one[:, rows] for one in self.arrays)
 
 
 class NativeEngine:
-    """Computes by the compiled library (`engine.Engine`).
+    """Engine that computes with the compiled library (`engine.Engine`).
 
-    Raises:
-        RuntimeError: the library does not serve here.
+    Methods that call the library raise RuntimeError if it cannot be used.
     """
 
     name = described = "native"
@@ -188,7 +187,7 @@ class NativeEngine:
 
 
 def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """`ops.glass_light` of pictures (H, W): light, 0 where the glass is not lit, and black."""
+    """Return `ops.glass_light` of images (H, W): light, 0 where the glass is not lit, and black."""
     black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
     light = empty - black
     step = max(1, min(light.shape) // PIXELS_OF_LIGHT)

@@ -1,4 +1,4 @@
-"""Fields of the points of frames and medians over their contact, by the compiled library: NumPy arrays in and out."""
+"""Fields at points of frames and medians over their contact, by the compiled library: NumPy arrays in and out."""
 
 import numpy as np
 
@@ -21,19 +21,20 @@ def fields_of_frames(
     covariance: Array | None = None,
     entered: EnteredPoints | None = None,
 ) -> FrameFields:
-    """Return the fields of K frames and medians over the apparent contact, as `graphs.FieldsGraph` has them.
+    """Compute the fields of K frames and medians over the apparent contact, as `graphs.FieldsGraph` does.
 
     Args:
         reference: (1 or K, N, 2) float32 reference positions.
         displacement: (K, N, 2) float32 in the same unit; NaN where a point is not known.
-        gauge_length: diameter of the support of a fit, in that unit.
-        measure: of strain, one of `field_limits.STRAIN_MEASURES`.
+        gauge_length: gauge length (virtual strain gauge): diameter of the support of a fit, in that unit.
+        measure: strain measure, one of `field_limits.STRAIN_MEASURES`.
         ellipse: of the apparent contact.
-        covariance: (K, N, 2, 2) float32 of the displacements: asks for standard deviations.
-        entered: points that count from their own entry, and are no part of the fits of others.
+        covariance: (K, N, 2, 2) float32 of the displacements; None for no standard deviations.
+        entered: points that were advected into the contact. Their gradients count from their own entry, and they are
+            left out of the fits of other points.
 
     Raises:
-        ValueError: another dtype, shapes that do not belong together, or another measure.
+        ValueError: wrong dtype, inconsistent shapes, or an unknown measure or gauge length out of range.
     """
     batch, count = _check(reference, displacement, covariance, entered)
     if measure not in limits.STRAIN_MEASURES:
@@ -47,7 +48,7 @@ def fields_of_frames(
         rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
     gradient, spread = _point_gradients(reference, rest, gauge_length, covariance)
     if entered is not None:
-        # Where a point is lost nothing is known of it.
+        # Nothing is known of a lost point.
         own = entered.among & np.isfinite(displacement[..., 0] + displacement[..., 1])
         gradient[own] = entered.gradient[own]
         if spread is not None and entered.covariance is not None:
@@ -80,7 +81,7 @@ def fields_of_frames(
 def _point_gradients(
     reference: Array, displacement: Array, gauge_length: float, covariance: Array | None
 ) -> tuple[Array, Array | None]:
-    """Return gradients (K, N, 2, 2) and their covariance, as `ops.fields.point_gradients` has them."""
+    """Fit gradients (K, N, 2, 2) and their covariance, as `ops.fields.point_gradients` does."""
     radius, noise = gauge_length / 2, None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
     fit = local_gradients(
         *(reference, displacement, reference, noise),
@@ -105,7 +106,7 @@ def _area_medians(
     measure: str,
     entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Return medians, their deviations and the share of the ellipse, as `ops.fields.area_medians` has them."""
+    """Return medians over the ellipse, their standard deviations and the known share, as `ops.fields.area_medians`."""
     batch = len(displacement)
     for name, array, shape in zip(ellipse._fields, ellipse, ((batch, 2), (batch, 2), (batch,)), strict=True):
         check_like(name, array, "float32", shape)
@@ -131,7 +132,7 @@ def _area_medians(
 
 
 def _fields(parts: Array, measure: str) -> Array:
-    """Return divergence, curl, exx, eyy and exy (5, P) of gradients (4, P) as du/dx, du/dy, dv/dx, dv/dy."""
+    """Return divergence, curl, exx, eyy and exy (5, P) of gradients (4, P), in the order du/dx, du/dy, dv/dx, dv/dy."""
     ux, uy, vx, vy = parts
     fields = np.empty((5, parts.shape[1]), np.float32)
     np.add(ux, vy, out=fields[0])
@@ -156,7 +157,7 @@ def _deviations(spread: Array) -> tuple[Array, Array]:
 
 
 def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
-    """Return standard deviations (P, 5) of the fields of gradients (4, P), to first order (`ops.field_std`)."""
+    """Return first-order standard deviations (P, 5) of the fields of gradients (4, P), as `ops.field_std`."""
     ux, uy, vx, vy = parts
     direct = 0 if measure == "infinitesimal" else 1
     mixed = 1 if measure == "green_lagrange" else 0
@@ -172,7 +173,7 @@ def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
 
 
 def _root(variance: Array) -> Array:
-    """Rounding below zero counts as zero."""
+    """Return the square root; a variance below zero by rounding counts as zero."""
     result: Array = np.sqrt(np.maximum(variance, 0))
     return result
 
@@ -180,7 +181,7 @@ def _root(variance: Array) -> Array:
 def _check(
     reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
 ) -> tuple[int, int]:
-    """Return the numbers of frames and points."""
+    """Check the arrays and return the numbers of frames and points."""
     if displacement.ndim != 3:
         raise ValueError(f"displacement has shape {displacement.shape}: give (K, N, 2)")
     batch, count = displacement.shape[:2]

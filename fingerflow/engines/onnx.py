@@ -1,4 +1,4 @@
-"""The engine that runs the graphs of a bundle by ONNX Runtime: one frame a call, as many points as were exported."""
+"""Engine that runs the graphs of a deployment bundle with ONNX Runtime: one frame a call, a fixed number of points."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from fingerflow.kernels.tracked_points import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
-_SUPPORTS = 4  # sets of points whose neighbours are remembered
+_SUPPORTS = 4  # sets of points whose neighbours are cached
 
 
 class _KeyImage:
-    """A key frame (1, 1, H, W), and its spline once a template is updated."""
+    """Key frame (1, 1, H, W), and its spline once a template is updated."""
 
     def __init__(self, view: Array) -> None:
         self.view, self.spline = view, None
@@ -47,7 +47,7 @@ class _KeyImage:
 
 
 class _OnnxTemplates:
-    """Templates of n points: arrays (1, n or more, ...) by name, and what `track` is given of them."""
+    """Templates of n points: arrays (1, n or more, ...) by name, and the inputs of the graph `track` made of them."""
 
     def __init__(self, arrays: dict[str, Array]) -> None:
         self.arrays = arrays
@@ -57,15 +57,15 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the statistics of the templates (n, 32), by `kernels.tracking_limits.Number`."""
+        """Return the template statistics (n, 32), in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def of(self, rows: Array) -> dict[str, Array]:
-        """Those of some rows."""
+        """Return the arrays of some rows."""
         return {name: array[:, rows] for name, array in self.arrays.items()}
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
-        """As `track` takes them, for so many points."""
+        """Return the inputs of `track`, padded to so many points, in the memory of the provider."""
         with self._lock:
             if not self._values:
                 self.arrays = {name: _filled(array, points) for name, array in self.arrays.items()}
@@ -73,7 +73,7 @@ class _OnnxTemplates:
             return self._values
 
     def update(self, rows: Array, updated: _OnnxTemplates, track: GraphSession) -> None:
-        """Replaces some rows, in the memory of the provider too."""
+        """Replace some rows, also in the memory of the provider."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
         if not track.shares_memory:
@@ -82,10 +82,10 @@ class _OnnxTemplates:
 
 
 class OnnxEngine:
-    """Computes by the graphs of a bundle (`engine.Engine`), K = 1 and up to N points.
+    """Engine that computes with the graphs of a bundle (`engine.Engine`), for K = 1 frame and up to N points.
 
     Args:
-        files: of the graphs, by name.
+        files: paths of the graphs, by name.
         settings: of the recipe that the bundle was exported from (`bundle_settings`).
         provider, threads: as for `sessions.Sessions`.
 
@@ -197,7 +197,7 @@ class OnnxEngine:
     def _look(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
     ) -> FoundPoints:
-        """What a frame shows of some rows of templates, near guesses (L, 2)."""
+        """Track some rows of the templates in a frame, near guesses (L, 2)."""
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
             near[0, rows] = guess
@@ -232,7 +232,7 @@ class OnnxEngine:
         return Corrected(found._replace(points=points, covariance=covariance), *others)
 
     def _support(self, start: Array) -> dict[str, Any]:
-        """Which points (1, N, 2) are neighbours, as `correct` takes it."""
+        """Return the inputs of `correct` that describe the neighbours of points (1, N, 2); they are cached."""
         name = start.tobytes()
         if name not in self._supports:
             correct = self._sessions["correct"]
@@ -308,12 +308,16 @@ class OnnxEngine:
         return FrameFields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
 
     def _pieces(self, count: int) -> Iterator[slice]:
-        """Of so many rows, as many at a time as graphs of few points take."""
+        """Yield slices of `count` rows, each of at most as many as the graphs of few points take."""
         for first in range(0, count, self._few):
             yield slice(first, min(first + self._few, count))
 
     def _all(self, name: str, array: Array) -> Array:
-        """An array (1, n, ...) of as many points as graphs take, NaN or 0 beyond its own."""
+        """Return an array (1, n, ...) padded with NaN or 0 to the N points of the graphs.
+
+        Raises:
+            FingerflowError: it has more points.
+        """
         if array.shape[1] > self.points:
             raise FingerflowError(
                 f"{name}: {array.shape[1]} points are given, the bundle was exported for {self.points}; export it again"
@@ -322,14 +326,14 @@ class OnnxEngine:
 
 
 def _cell_px(view: tuple[int, ...], cells: tuple[int, ...]) -> int:
-    """Side of the cells that a view of this size has so many of."""
+    """Return the side of a cell, from the shapes of the view and of its cells."""
     return next(
         side for side in (1, 2, 4, 8) if all(-(-a // side) == b for a, b in zip(view[2:], cells[2:], strict=True))
     )
 
 
 def _filled(array: Array, count: int) -> Array:
-    """An array (1, n, ...) as (1, count, ...), NaN or 0 beyond its own."""
+    """Return an array (1, n, ...) padded to (1, count, ...) with NaN, or 0 for integers."""
     missing = count - array.shape[1]
     if not missing:
         return array

@@ -1,4 +1,4 @@
-"""Where an engine expects points from frame to frame within one call, by the rule of `tracker.motion`."""
+"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.motion`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, Track
 
 
 class Course(NamedTuple):
-    """Place and speed (N, 2) px of points after a frame, and whether (N,) they were found in it."""
+    """Position (N, 2) px and speed (N, 2) px a frame of points after a frame; whether (N,) they were found in it."""
 
     place: Array
     speed: Array
@@ -19,20 +19,20 @@ class Course(NamedTuple):
 
     @classmethod
     def begin(cls, place: Array, speed: Array) -> Course:
-        """Before the first frame."""
+        """Return the state before the first frame."""
         return cls(place, speed, np.ones(len(place), bool))
 
     def expect(self) -> Array:
-        """(N, 2) px in the next frame."""
+        """Return the predicted positions (N, 2) px in the next frame."""
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """After the next frame, of which `found` (1, N) has what it shows.
+        """Return the state after the next frame, in which the points `found` (1, N) were found.
 
-        The latest displacement has half the weight in a speed: that of two positions alone would carry their noise on.
-        A point that is lost is expected on where its speed leads, for some four frames; one that was lost may be found
-        beside where it was expected, which is no motion.
+        The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
+        their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is
+        found again may lie beside its prediction; this difference is no motion and leaves its speed unchanged.
         """
         guess, tracked = self.expect(), found.status[0] == TrackStatus.TRACKED
         missed = np.where((tracked & self.seen)[:, None], found.estimate[0] - guess, np.float32(0))

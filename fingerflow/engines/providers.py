@@ -1,4 +1,4 @@
-"""Execution providers of ONNX Runtime on this computer: those built into it, and plugin packages beside it."""
+"""Execution providers of ONNX Runtime on this computer: built-in ones and those of plugin packages."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from fingerflow.errors import FingerflowError
 
 log = logging.getLogger("fingerflow.engines")
 
-#: Short name of the processor's own provider, which is everywhere.
+#: Short name of the CPU provider, which is always installed.
 CPU = "cpu"
 _SUFFIX = "ExecutionProvider"
-_PLUGINS = "onnxruntime_ep_"  # how the names of plugin packages begin
+_PLUGINS = "onnxruntime_ep_"  # prefix of the names of plugin packages
 _REMOTE = "AzureExecutionProvider"  # computes nothing here
 
 
 def installed_providers() -> dict[str, str]:
-    """Return full names of the execution providers by short name ("CUDAExecutionProvider" by "cuda"), in the order in
-    which they are to be tried: built-in ones as ONNX Runtime orders them, those of plugin packages, the processor.
+    """Return full names of the execution providers by short name ("CUDAExecutionProvider" by "cuda").
+
+    They are in the order in which to try them: built-in ones as ONNX Runtime orders them, plugin packages, the CPU.
     """
     built_in = [name for name in ort.get_available_providers() if name != _REMOTE]
     if any(name.startswith("CUDA") for name in built_in):
@@ -37,7 +38,7 @@ def provider_named(name: str) -> str:
     """Return the full name of an installed provider.
 
     Raises:
-        FingerflowError: it is not installed here.
+        FingerflowError: it is not installed.
     """
     installed = installed_providers()
     if name not in installed:
@@ -46,21 +47,21 @@ def provider_named(name: str) -> str:
 
 
 def plugin_devices(full: str) -> list[Any]:
-    """Return the devices of the provider of a plugin package; none of a built-in one."""
+    """Return the devices of a provider from a plugin package; an empty list for a built-in provider."""
     if full in ort.get_available_providers():
         return []
     return [device for device in ort.get_ep_devices() if device.ep_name == full]
 
 
 def _register_plugins() -> None:
-    """Make ONNX Runtime know the provider of each plugin package that is installed, once."""
+    """Register the provider of each installed plugin package with ONNX Runtime, once."""
     for module in pkgutil.iter_modules():
         if module.name.startswith(_PLUGINS) and module.name not in _registered:
             _registered.add(module.name)
             try:
                 library = importlib.import_module(module.name).get_library_path()
                 ort.register_execution_provider_library(module.name, library)
-            except Exception as error:  # whatever a foreign package raises, the other providers still serve
+            except Exception as error:  # whatever a foreign package raises, the other providers remain usable
                 log.warning("the package %s is installed but its provider cannot be loaded (%s)", module.name, error)
 
 

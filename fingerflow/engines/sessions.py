@@ -1,4 +1,4 @@
-"""Sessions of ONNX Runtime: the graphs of a bundle, opened with an execution provider."""
+"""Sessions of ONNX Runtime for the graphs of a deployment bundle, opened with an execution provider."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
 
-_ON_GPU = ("tensorrt", "cuda")  # whose memory holds what is kept from call to call
+_ON_GPU = ("tensorrt", "cuda")  # providers that keep the inputs of several calls in GPU memory
 _NUMPY = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -28,20 +28,20 @@ _NUMPY = {
 
 
 class Input(NamedTuple):
-    """Shape and type of an input; a batch that is free is 1."""
+    """Shape and dtype of an input; a free batch axis counts as 1."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
 
 
 class GraphSession:
-    """A graph of a bundle. Calls from several threads at once are allowed: each has tensors of its own.
+    """Graph of a bundle, which may be called from several threads at once: each call has its own tensors.
 
     Attributes:
         inputs: by name.
         outputs: shapes by name.
-        shares_memory: whether an array in one piece and what is `kept` of it are one memory: on a processor, where the
-            graph does not compute in float64.
+        shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU,
+            unless the graph computes in float64.
     """
 
     def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
@@ -52,10 +52,10 @@ class GraphSession:
         self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Outputs by name, floating point as float32, from arrays or values that are `kept`."""
+        """Return the outputs by name, float64 as float32, for arrays or values of `kept`."""
         feed = {name: self._array(name, given[name]) for name in self.inputs}
         try:
-            results = self._session.run(self._names, feed)  # arrays: to wrap them takes longer than a small graph
+            results = self._session.run(self._names, feed)  # plain arrays: wrapping takes longer than a small graph
         except Exception as error:
             raise FingerflowError(
                 f"{self._path}: onnxruntime cannot run it here ({first_line(error)}); choose another provider"
@@ -63,11 +63,11 @@ class GraphSession:
         return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
     def kept(self, name: str, array: Array) -> Any:
-        """An input that is given call after call, in the memory of the provider."""
+        """Return an input for many calls, in the memory of the provider."""
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
     def _array(self, name: str, array: Any) -> Any:
-        """Return an array contiguous and of the dtype of the input; a value that is `kept` is returned unchanged."""
+        """Return an array as contiguous array of the dtype of the input; a value of `kept` is returned unchanged."""
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]
@@ -77,10 +77,10 @@ class GraphSession:
 
 
 class Sessions:
-    """Opens graphs with one execution provider.
+    """Graphs of a bundle, opened with one execution provider.
 
     Args:
-        files: of the graphs, by name.
+        files: paths of the graphs, by name.
         provider: short name, of `providers.installed_providers`.
         threads: inside an operator. One is fastest: an operator of these graphs takes some microseconds, and threads
             wait for each other at each of them.
@@ -117,7 +117,7 @@ class Sessions:
         options = ort.SessionOptions()
         options.intra_op_num_threads = self._threads
         options.log_severity_level = 3
-        # Threads of the other graphs would spin beside the one that computes.
+        # Idle threads of the other graphs would spin beside those that compute.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         chosen: list[Any] = [self.provider, provider_named(CPU)]
         if self._short == "tensorrt":

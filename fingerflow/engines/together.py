@@ -1,9 +1,9 @@
-"""Recordings computed together: the engine calls that several of them make at the same time become one.
+"""Batched engine calls of several recordings.
 
-Each recording is a generator. It computes as if it were alone, and where it needs an engine call that others may share
-it yields a `Call` and goes on with what that gives. When all recordings wait for a call, those of one kind are answered
-at once: an accelerator, whose time for a few hundred points is that of starting its kernels, starts them once for all.
-Which calls are joined depends on what the recordings ask for, and not on time.
+Each recording is a generator. It computes as if it were alone: where it needs an engine call that others may share, it
+yields a `Call` and continues with the result. When all recordings wait for a call, calls of the same kind are joined to
+one. For a few hundred points an accelerator takes the time of launching its kernels, and these are then launched once.
+Which calls are joined depends only on the calls of the recordings, never on time.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
-# The calls that are made all the time, in the order in which they are answered. Those of the smallest steps come first:
-# recordings that need more of them catch up, and the next larger step is one of all again.
+# Methods that may be joined, in the order in which their calls are answered. The smallest steps come first: recordings
+# that need more of them catch up, and the next larger step is again shared by all.
 _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "threshold", "contact")
 
 
 class Call(NamedTuple):
-    """A method of an engine, one of `_ORDER`, and its arguments by position."""
+    """Method of an engine, one of `_ORDER`, and its positional arguments."""
 
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -36,24 +36,24 @@ Steps = Generator[Call, Any, T]
 
 @runtime_checkable
 class Joining(Protocol):
-    """An engine that computes the same method for several recordings in one call."""
+    """Interface of an engine that computes a method for several recordings in one call."""
 
     def kind(self) -> object:
-        """What engines have in common whose calls can be joined."""
+        """Return a key that is equal for engines whose calls can be joined."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Results of a method for the arguments of several recordings."""
+        """Return the results of a method for the arguments of several recordings."""
         ...
 
 
 def run_alone(steps: Steps[T]) -> T:
-    """Return what one recording returns; each of its calls is made by itself."""
+    """Run one recording, making each of its calls by itself, and return its result."""
     try:
         call = next(steps)
         while True:
             method, arguments = call
-            del call  # and with it its pictures, before the recording goes on to the next ones
+            del call  # frees its images before the recording reads the next ones
             try:
                 answer = method(*arguments)
             except Exception as error:
@@ -69,10 +69,10 @@ def run_alone(steps: Steps[T]) -> T:
 
 
 def run_together(many: Sequence[Steps[T]]) -> list[T]:
-    """Return what recordings return that are computed in lock-step.
+    """Run recordings in lock-step with joined calls, and return their results.
 
-    An error of one does not touch the others; when all have ended, the first such error is raised. What is no
-    `Exception`, as Ctrl-C, ends all of them at once.
+    An `Exception` in one recording does not stop the others: when all have ended, that of the first recording is
+    raised. Anything else, such as Ctrl-C, ends all of them at once.
     """
     results: dict[int, T] = {}
     errors: dict[int, Exception] = {}
@@ -84,7 +84,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
         except StopIteration as end:
             results[place] = end.value
         except Exception as error:
-            clear_frames(error.__traceback__)  # they hold the memory of this recording while others go on
+            clear_frames(error.__traceback__)  # they would keep the memory of this recording while others continue
             errors[place] = error
 
     with ExitStack() as closing:
@@ -96,14 +96,14 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
             for place, answer, error in _answers(_next_group(waiting)):
                 steps = many[place]
                 go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
-                del answer, error  # and what they hold, before the next recording goes on
+                del answer, error  # frees their memory before the next recording continues
     if errors:
         raise errors[min(errors)]
     return [results[place] for place in range(len(many))]
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Take the calls of the first kind whose turn it is, by recording."""
+    """Remove and return, by recording, the waiting calls of the kind that is first in `_ORDER`."""
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place
@@ -114,25 +114,25 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 
 
 def _kind(call: Call) -> object:
-    """What calls have in common that are answered at once."""
+    """Return a key that is equal for calls that are joined."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
 
 
 def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Recording, result and error of each call; they are made as one where the engine can."""
+    """Yield recording, result and error of each call; the calls are joined if the engine supports it."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
     if len(group) > 1 and isinstance(engine, Joining):
         try:
             results = engine.joined(first.__name__, [call.arguments for call in group.values()])
-        except Exception as error:  # whose it is shows when each is made by itself
-            # Not the error itself: whoever keeps what is logged would keep its memory.
+        except Exception as error:  # calling one by one shows to which recording it belongs
+            # Log its text: a kept log record would keep the memory of the error itself.
             log.warning("%s of %d recordings is made one by one: %s", first.__name__, len(group), repr(error))
         else:
             yield from ((place, result, None) for place, result in zip(group, results, strict=True))
             return
-    # Not before that error is gone, which holds the memory of the call that failed.
+    # Outside the handler, because the error keeps the memory of the failed call.
     for place, call in group.items():
         yield place, *_made(call)
 

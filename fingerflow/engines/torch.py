@@ -1,4 +1,4 @@
-"""The engine that runs the modules of `graphs` by torch: on any device, and where the kernels are not compiled."""
+"""Engine that runs the modules of `graphs` with torch: on any device, also without compiled kernels."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
 M = TypeVar("M", bound=nn.Module)
-Modules = Callable[[Any], Any]  # gives the module to call in place of one
+Modules = Callable[[Any], Any]  # returns the callable that replaces a module
 _Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
 
 
 def as_it_is(module: M) -> M:
-    """The module itself."""
+    """Return the module itself."""
     return module
 
 
 @dataclass
 class _TorchTemplates:
-    """`ops.Templates` (1, N, ...)."""
+    """Templates of N points as `ops.Templates` (1, N, ...)."""
 
     templates: Templates
 
@@ -60,12 +60,12 @@ class _TorchTemplates:
 
 
 class TorchEngine:
-    """Computes by torch on a device (`engine.Engine`).
+    """Engine that computes with torch on a device (`engine.Engine`).
 
     Args:
-        settings: of the scene.
+        settings: of the engine.
         device: of the tensors.
-        modules: gives the module to call in place of one: itself, or one that computes the same elsewhere.
+        modules: returns the callable that replaces a module: itself, or one that computes the same elsewhere.
     """
 
     name = "torch"
@@ -108,13 +108,13 @@ class TorchEngine:
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
         matrix = self._tensor(topography_to_contact, torch.float32)
-        # Components before points: torch is slow where the last axis is short.
+        # Components before points: torch is slow on a short last axis.
         x, y = (matrix[:, :2] @ self._tensor(points).mT + matrix[:, 2:]).unbind(1)
         return _array(covered(self._tensor(density_margin), x, y, self.cell_px))
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
-        # Not by `modules`: another number of points would be another graph, and most are asked for once.
+        # Not replaced by `modules`: each number of points would be another graph, and most are used once.
         detect = DetectGraph(count, own.min_distance_px, own.window_px)
         points, _ = detect(image, self._tensor(mask)[None, None])
         return _array(points[0][points[0].isfinite().all(-1)])
@@ -132,7 +132,7 @@ class TorchEngine:
         chosen = self._tensor(rows)
         for old, new in zip(templates.templates, updated.templates, strict=True):
             if old is not None and new is not None:
-                old.index_copy_(1, chosen, new)  # in place: a few are updated, and all are megabytes
+                old.index_copy_(1, chosen, new)  # in place: few rows are updated, and all templates take megabytes
 
     def follow(
         self, templates: _TorchTemplates, images: Tensor, place: Array, speed: Array, rows: Array | None = None
@@ -196,15 +196,16 @@ class TorchEngine:
         return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
     def kind(self) -> object:
-        """What engines have in common whose calls can be joined (`together.Joining`).
+        """Return a key that is equal for engines whose calls can be joined (`together.Joining`).
 
-        Where compiled kernels serve it is nothing: they gain nothing by it, and each recording has its own numbers.
+        With compiled kernels no calls are joined: it would not be faster, and results of a recording stay independent
+        of the others.
         """
         compiled = self._device.type == "cpu" and kernels.serve()
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Results of a method for the arguments of several recordings, one call of those in pictures of one size."""
+        """Return the results of a method for the arguments of several recordings, in one call per size of images."""
         alike: dict[Any, list[int]] = {}
         for place, one in enumerate(many):
             alike.setdefault(tuple(map(_size, one)), []).append(place)
@@ -224,7 +225,7 @@ class TorchEngine:
         return [found[frames] for frames in parts(len(images) for images, _ in many)]
 
     def _lit(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
-        """Frames of all recordings, and of each the light and the black that belong to it."""
+        """Return the frames of all recordings with light and black of each; those of a single one stay (1, ...)."""
         if len(many) == 1:
             images, light = many[0]
             return images, light.light, light.black
@@ -252,7 +253,7 @@ class TorchEngine:
         counts, frames = [len(one) for one in places], [len(one) for one in images]
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
-        # Points of all recordings in a row; one of fewer frames stays at its last one until the others end.
+        # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
         courses = [Course.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
@@ -271,7 +272,7 @@ class TorchEngine:
         return results
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
-        """Templates of B recordings, or some rows of them, as those of B x N points."""
+        """Return the templates of B recordings, or some rows of them, as templates of B x N points."""
         every = [
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
             for one, some in zip(held, rows, strict=True)
@@ -326,7 +327,7 @@ class TorchEngine:
         ]
 
     def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """The frames of all recordings, and the recording of each; None for a single one."""
+        """Return the recording of each frame, None for a single recording, and the points found in all frames."""
         if len(founds) == 1:
             return None, founds[0]
         most = max(one.status.shape[1] for one in founds)
@@ -336,7 +337,7 @@ class TorchEngine:
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
     def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Values (N, ...) of recordings for each frame; (1, N, ...) of a single recording."""
+        """Return the values (N, ...) of recordings for each frame; (1, N, ...) for a single recording."""
         given = self._tensor(stacked(values))
         return given if own is None else given[own]
 
@@ -351,8 +352,10 @@ class TorchEngine:
 
 
 def images_on(device: torch.device, frames: Array) -> Tensor:
-    """Frames (K, H, W) as a tensor (K, 1, H, W) on a device, not to be written to: 8 bits on a processor are the memory
-    of the frames. uint16 becomes int32, which torch can compute with.
+    """Return frames (K, H, W) as a tensor (K, 1, H, W) on a device.
+
+    It must not be written to: on the CPU it shares memory with the frames unless these are converted. uint16 becomes
+    int32, with which torch can compute, and float64 becomes float32.
     """
     if frames.dtype == np.uint16:
         frames = frames.astype(np.int32)
@@ -364,21 +367,24 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
 
 
 class _Lent:
-    """An array of a memory map that says it may be written to: torch warns of others, and engines only read."""
+    """Array interface that declares read-only memory, as of a memory map, writable.
+
+    Torch warns of read-only arrays, and engines only read.
+    """
 
     def __init__(self, array: Array) -> None:
-        self._array = array  # alive as long as what is made of this
+        self._array = array  # keeps the memory alive
         address = array.__array_interface__["data"][0]
         self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
 
 
 def _in_a_row(images: Sequence[Tensor]) -> Tensor:
-    """Frames of several recordings, one after the other."""
+    """Return the frames of several recordings, concatenated."""
     return images[0] if len(images) == 1 else torch.cat(list(images))
 
 
 def _size(argument: Any) -> object:
-    """What an argument must have in common with that of another recording to be joined with it."""
+    """Return a key that is equal for arguments of recordings that can be joined."""
     if isinstance(argument, Tensor):
         return argument.dtype, argument.shape[1:]
     if isinstance(argument, arrays.GlassLight):

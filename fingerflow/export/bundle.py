@@ -17,12 +17,12 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
+from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.expected import expected_numbers
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
-from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.export.trial import cases, completed, feed
 from fingerflow.export.verification import Difference, verify
+from fingerflow.export.verification_frames import cases, completed, feed
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.unfinished import unfinished
 
@@ -112,7 +112,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     }
     (folder / "bundle.json").write_text(json.dumps(about) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
-    carry_rooms(folder)
+    carry_modules(folder)
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "export" / "template" / name).read_bytes())
     scene = (package / "export" / "template" / "scene.toml").read_text(encoding="utf-8")

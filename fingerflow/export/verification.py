@@ -13,7 +13,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import Recipe
-from fingerflow.export.trial import cases, completed, feed
+from fingerflow.export.verification_frames import cases, completed, feed
 from fingerflow.kernels.tracking_limits import Number
 
 

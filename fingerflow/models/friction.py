@@ -1,16 +1,17 @@
-"""Dahl's model of friction, which sticks like a spring and slides at a limit (Dahl 1968; Willemet et al. 2021, eq. 7).
+"""Dahl's friction model: stiff like a spring at first, sliding at a limit (Dahl 1968; Willemet et al. 2021, eq. 7).
 
-Over a distance x slid in the direction s = sign(dx), the force F on what carries the slider (the skin feels -F, against
-its motion) follows
+F is the force on the body that carries the slider; the skin feels -F, against its motion. Over a distance x slid in the
+direction s = sign(dx),
 
     dF/dx = sigma_0 |1 - s F / F_c|^n sign(1 - s F / F_c)
 
 with the limit F_c = mu p. The printed time derivative has a factor "s" too many: dF/dt = (dF/dx) (dx/dt). With
 u = 1 - s F / F_c, which is 0 at the limit, u^(1 - n) falls in proportion to the distance, at the rate
-(1 - n) sigma_0 / F_c: so a step of any length has a closed form, and a force that is held does not creep with the step.
+(1 - n) sigma_0 / F_c. A step of any length therefore has a closed form, and a sustained force does not creep with the
+step length.
 
 V = F^2 / (2 sigma_0) is an energy that is never created, for every n >= 0: dV = F dx u^n <= F dx, as F s has the sign
-of 1 - u. A limit that falls cuts F and V down without work, and one that rises changes neither.
+of 1 - u. A falling limit reduces F and V without work; a rising limit changes neither.
 """
 
 import torch
@@ -25,18 +26,18 @@ def dahl_step(
     stiffness: Tensor | float = 500.0,
     exponent: Tensor | float = 0.7,
 ) -> Tensor:
-    """Friction force (N) after a slide in one direction at a constant limit, exact; all arguments broadcast.
+    """Return the exact friction force (N) after a slide in one direction at a constant limit; all arguments broadcast.
 
-    Where the limit changed since the step before, the force is first cut to it: |F| <= F_c always. An infinite
-    stiffness is Coulomb's friction: the limit after any slide, and what it was before without one. Differentiable
-    where the model is: not across the arrival at the limit (n < 1) and a change of direction.
+    If the limit changed since the step before, the force is first clamped to it, so |F| <= F_c always. An infinite
+    stiffness gives Coulomb friction: the limit after any slide, the previous force without one. Differentiable where
+    the model is: not where the force reaches the limit (n < 1) or the direction changes.
 
     Args:
         force: F before, N, along +x where it resists a motion along +x.
         slid: dx, m, of either sign.
-        limit: F_c = mu p during the step, N, 0 or more; no force without one.
+        limit: F_c = mu p during the step, N, 0 or more; at 0 the force is 0.
         stiffness: sigma_0 at F = 0, N/m, positive; the paper's is 500.
-        exponent: n >= 0; the paper's is 0.7. 0 is a spring to the limit, 1 an exponential approach.
+        exponent: n >= 0; the paper's is 0.7. 0 is a spring up to the limit, 1 an exponential approach.
 
     Raises:
         ValueError: a negative limit or exponent, a stiffness that is not positive, or NaN in any.
@@ -62,13 +63,13 @@ def dahl_step(
     lost = share_lost(distance, n)
     after = torch.where(lost >= 1, sign * safe, before + sign * safe * left * lost)
     after = torch.where(moves & ~at_limit, after, before)
-    return torch.minimum(torch.maximum(after, -most), most)  # the sum may round beyond it
+    return torch.minimum(torch.maximum(after, -most), most)  # the sum may round beyond the limit
 
 
 def share_lost(distance: Tensor, exponent: Tensor) -> Tensor:
-    """1 - u / u_0 after a distance in units of F_c u_0^(1 - n) / sigma_0: 1 - (1 - (1 - n) d)^(1 / (1 - n)).
+    """Return 1 - u / u_0 after a distance d in units of F_c u_0^(1 - n) / sigma_0: 1 - (1 - (1 - n) d)^(1 / (1 - n)).
 
-    1 - exp(-d) for n = 1, and near it too without cancellation; 1 once an exponent below 1 has reached the limit.
+    For n = 1 this is 1 - exp(-d), and it does not cancel near n = 1. It is 1 once a model with n < 1 reaches the limit.
     """
     power = 1 - exponent
     exponential = power == 0

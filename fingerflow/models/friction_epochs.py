@@ -1,7 +1,7 @@
 """Friction coefficient against vibration amplitude, from a tribometer trace (Willemet et al. 2021, figure S1 A and B).
 
-The plate's ultrasonic vibration is modulated with a sinusoid of 4 Hz while a finger slides to and fro. An epoch is a
-half period in which the envelope rises and the finger moves from right to left throughout; the coefficient is T / N.
+The plate's ultrasonic vibration is modulated with a 4 Hz sinusoid while a finger slides back and forth. An epoch is a
+half period in which the envelope rises and the finger moves from right to left throughout. The coefficient is |T| / N.
 """
 
 import math
@@ -12,23 +12,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-_PARTS = 25  # of a half period, over each of which the finger's velocity is a straight line's slope
-_LEAST_SAMPLES = 8  # of an epoch
+_PARTS = 25  # windows in a half period; the finger's velocity is the slope of a line fitted over about one window
+_LEAST_SAMPLES = 8  # per epoch
 
 
 @dataclass(frozen=True)
 class FrictionEpochs:
-    """E epochs and A bins of amplitude; NaN where an epoch has no sample in a bin."""
+    """Friction coefficients of E epochs in A bins of amplitude; NaN where an epoch has no sample in a bin."""
 
     start: Tensor  # (E,) int64, first sample
-    stop: Tensor  # (E,) int64, behind the last
+    stop: Tensor  # (E,) int64, one past the last sample
     edges: Tensor  # (A + 1,) m of amplitude
     median: Tensor  # (E, A) of T / N
-    spread: Tensor  # (E, A) between the quartiles of T / N
+    spread: Tensor  # (E, A) interquartile range of T / N
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Of each bin (A,): the median of the epochs' medians, the distance of their quartiles, number of epochs."""
+        """Return per bin (A,) the median and interquartile range of the epoch medians, and the number of epochs."""
         return _summary(self.median)
 
 
@@ -43,13 +43,13 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Coefficient |T| / N of every epoch in bins of amplitude.
+    """Compute the coefficient |T| / N of every epoch in bins of amplitude.
 
-    Whether the envelope rises is read from the sinusoid of ``modulation_hz`` that fits it best, whether the finger
-    moves from slopes of its position over 1 / 25 of a half period: neither depends on the noise of single samples.
+    The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
+    from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
 
     Args:
-        time: (T,) s, in even steps.
+        time: (T,) s, evenly spaced.
         normal, tangential: (T,) N; a sample counts where both are known and the normal force is positive.
         position: (T,) m of the finger along the plate, growing to the right.
         amplitude: (T,) m, the envelope of the vibration.
@@ -57,8 +57,8 @@ def friction_epochs(
         least_speed: m/s to the left, below which the finger does not count as sliding.
 
     Raises:
-        ValueError: shapes that do not belong together, uneven times, an unknown position or amplitude, no modulation at
-            that frequency, fewer than 8 samples a half period, or normal forces that are nowhere positive.
+        ValueError: shapes that do not match, uneven times, an unknown position or amplitude, no modulation at
+            that frequency, fewer than 8 samples per half period, or normal forces that are nowhere positive.
     """
     signals = {"normal": normal, "tangential": tangential, "position": position, "amplitude": amplitude}
     at, ratio, place, height = _checked(time, signals, edges)
@@ -91,7 +91,7 @@ def friction_epochs(
 
 
 def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
-    """Times at which the best sinusoid begins to rise."""
+    """Return the times (s) at which the best-fitting sinusoid begins to rise."""
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -108,7 +108,7 @@ def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency:
 
 
 def _slopes(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """By straight lines through 2 width + 1 samples, a sample a step; at the ends those of the nearest whole window."""
+    """Return slopes per sample of lines fitted to 2 width + 1 samples; the ends repeat the nearest whole window."""
     if len(values) < 2 * width + 1:
         return np.full(len(values), np.nan)
     offsets = np.arange(-width, width + 1)
@@ -117,7 +117,7 @@ def _slopes(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 def _quartiles(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Median, and distance of the quartiles."""
+    """Return the median and the interquartile range; NaN without values."""
     if not len(values):
         return math.nan, math.nan
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
@@ -133,7 +133,7 @@ def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def _checked(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Time, T / N, position and amplitude."""
+    """Return time, |T| / N, position and amplitude as float64 after checking shapes and values."""
     if time.ndim != 1 or len(time) < 2:
         raise ValueError(f"time is {tuple(time.shape)}: give (T,), two samples or more")
     for name, signal in signals.items():

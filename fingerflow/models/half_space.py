@@ -1,23 +1,23 @@
-"""Stress under a loaded surface, in plane strain: Johnson, Contact Mechanics (1985), equation 2.23.
+"""Stress in a half-space under a surface load, in plane strain: Johnson, Contact Mechanics (1985), equation 2.23.
 
-Along y on the surface, z down into the skin. A pressure p presses the surface down, a traction q pulls it along +y, and
-with r = y - s, R^2 = r^2 + z^2 the stresses are integrals over the surface, of -2 / pi times
+y runs along the surface, z down into the skin. A pressure p presses the surface down, a traction q pulls it along +y.
+With r = y - s and R^2 = r^2 + z^2 the stresses are integrals over the surface, of -2 / pi times
 
     sigma_y:  p z r^2 / R^4 + q r^3 / R^4
     sigma_z:  p z^3 / R^4   + q z^2 r / R^4
     tau_yz:   p z^2 r / R^4 + q z r^2 / R^4
 
-(equation 11 of Willemet et al. 2021 has the first two lines; the published script squares r in the p of tau, which
-makes the shear even where it is odd, and leaves q out.) At the surface sigma_z -> -p and tau_yz -> -q.
+Equation 11 of Willemet et al. 2021 has the first two lines. The published script squares r in the p term of tau, which
+makes an odd shear even, and omits q. At the surface sigma_z -> -p and tau_yz -> -q.
 
-Every strip is integrated exactly. With phi = atan(r / z) at its ends, theta the difference and Sigma the sum of both:
+Every strip is integrated exactly. phi = atan(r / z) at its two ends, theta is their difference and Sigma their sum:
 
     integral of 2 z r^2 / R^4 = theta - sin theta cos Sigma = (theta - sin theta) + 2 sin theta sin^2(Sigma / 2)
     integral of 2 z^3 / R^4   = theta + sin theta cos Sigma = (theta - sin theta) + 2 sin theta cos^2(Sigma / 2)
     integral of 2 z^2 r / R^4 = sin theta sin Sigma
     integral of 2 r^3 / R^4   = 2 h - sin theta sin Sigma,  h = log(R_1 / R_2)
 
-The right-hand forms add what has one sign, so that nothing cancels close to the surface, far beside or far below it.
+The right-hand forms add terms of one sign, so nothing cancels close to the surface, far to the side or far below it.
 """
 
 import math
@@ -26,8 +26,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_PAIRS_AT_ONCE = 1 << 20  # pairs of a place and a strip; a few tens of MB
-_FAR = 2.0  # strip widths: from there on a strip is smooth enough for ten points of Gauss, to the last digit
+_PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
+_FAR = 2.0  # strip widths: beyond, the kernel is smooth enough for ten-point Gauss quadrature to be exact to rounding
 _GAUSS = (
     (0.14887433898163122, 0.29552422471475287),
     (0.43339539412924721, 0.26926671930999635),
@@ -38,7 +38,7 @@ _GAUSS = (
 
 
 class Stress(NamedTuple):
-    """In the unit of the load, tension positive; tau_yz is positive where the upper side is pulled along -y."""
+    """Stress in the unit of the load, tension positive; tau_yz is positive where the upper side is pulled along -y."""
 
     sigma_y: Tensor
     sigma_z: Tensor
@@ -48,10 +48,10 @@ class Stress(NamedTuple):
 def stress(
     y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
 ) -> Stress:
-    """Stress at places (y, z) under loads that are constant on each strip between two edges, exact to rounding.
+    """Compute the stress at points (y, z) under loads constant on each strip between two edges, exact to rounding.
 
     Args:
-        y: place along the surface, of any shape S to which y and z broadcast, in the unit of the edges.
+        y: position along the surface, in the unit of the edges; y and z broadcast to a shape S.
         z: depth, positive.
         edges: (..., M + 1), rising; leading dimensions B broadcast with those of the loads.
         pressure: (..., M) on each strip, compression positive.
@@ -61,7 +61,7 @@ def stress(
         Each (*B, *S) float64, differentiable in all arguments.
 
     Raises:
-        ValueError: shapes that do not belong together, edges that do not rise, a depth that is not positive, NaN.
+        ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
     """
     edges, pressure, traction = _checked(edges, pressure, traction, extra=1)
     return _summed(y, z, edges, pressure, traction)
@@ -70,7 +70,7 @@ def stress(
 def stress_linear(
     y: Tensor | float, z: Tensor | float, nodes: Tensor, pressure: Tensor, traction: Tensor | None = None
 ) -> Stress:
-    """As `stress`, for loads that are linear between nodes (..., M + 1) with a value (..., M + 1) at each.
+    """Compute the stress as `stress` does, for loads (..., M + 1) given at nodes (..., M + 1) and linear between them.
 
     A load that is not 0 at the first or last node ends there with a step.
     """
@@ -81,7 +81,7 @@ def stress_linear(
 
 
 class _Kernels(NamedTuple):
-    """The four integrals over each strip, (..., points, M)."""
+    """The four kernels integrated over each strip, (..., points, M)."""
 
     z_rr: Tensor  # of 2 z r^2 / R^4
     zzz: Tensor  # of 2 z^3 / R^4
@@ -98,7 +98,7 @@ def _summed(
     pressure_slope: Tensor | None = None,
     traction_slope: Tensor | None = None,
 ) -> Stress:
-    """Of loads in the middle of strips (..., M), and of their slopes along y."""
+    """Compute the stress of strip loads from their values at the strip centres (..., M) and their slopes along y."""
     place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
     if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
         raise ValueError(
@@ -112,7 +112,7 @@ def _summed(
         width = edges.diff(dim=-1)[..., None, :]
         part = _loaded(_integrals(first, second, width, down), pressure, traction)
         if pressure_slope is not None and traction_slope is not None:
-            # A place of a strip lies at s - middle = -(r - middle of r).
+            # s - (centre of the strip) = -(r - middle of r), hence the minus sign.
             part = part - _loaded(_moments(first, second, width, down), pressure_slope, traction_slope)
         parts.append(part)
     whole = -torch.cat(parts, -1) / math.pi
@@ -120,7 +120,7 @@ def _summed(
 
 
 def _loaded(of: _Kernels, pressure: Tensor, traction: Tensor) -> Tensor:
-    """(3, ..., points): sums over strips, of -pi sigma_y, -pi sigma_z and -pi tau_yz."""
+    """Return the sums over strips (3, ..., points) of -pi sigma_y, -pi sigma_z and -pi tau_yz."""
     pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
     return torch.stack([_over_strips(of_p, pressure) + _over_strips(of_q, traction) for of_p, of_q in pairs])
 
@@ -130,7 +130,7 @@ def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """From r at both ends of strips, ``first`` the greater one."""
+    """Compute the kernel integrals from r at both ends of each strip, ``first`` being the greater one."""
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
     between = first + second
@@ -138,7 +138,7 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     sine = z * width / both  # of theta
     sine_sum, cosine_sum = z * between / both, (z * z - first * second) / both
     ahead = cosine_sum > 0
-    # sin^2 and cos^2 of Sigma / 2: the one that is small from the sine, the other from the cosine.
+    # sin^2 and cos^2 of Sigma / 2: the smaller is computed from sin Sigma, the larger from cos Sigma.
     large = (1 + cosine_sum.abs()) / 2
     small = sine_sum * sine_sum / (4 * large)
     sine_half, cosine_half = torch.where(ahead, small, large), torch.where(ahead, large, small)
@@ -159,10 +159,11 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
 
 
 def _moments(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Integrals of the same kernels times r - (middle of r), which a linear load adds.
+    """Compute the integrals of the kernels times r - (middle of r), which a linear load adds.
 
-    Near a strip in closed form: r z r^2 is z rrr and so on, and 2 r^4 / R^4 = 2 - 4 z^2 / R^2 + 2 z^4 / R^4. Far from
-    it that is a small difference of large numbers; there the kernels are smooth, and Gauss' rule is exact to rounding.
+    Near a strip the closed form is used: r z r^2 is z rrr and so on, and 2 r^4 / R^4 = 2 - 4 z^2 / R^2 + 2 z^4 / R^4.
+    Far from it that form is a small difference of large numbers. The kernels are smooth there, and ten-point Gauss
+    quadrature is exact to rounding.
     """
     middle = (first + second) / 2
     of = _integrals(first, second, width, z)
@@ -186,19 +187,19 @@ def _moments(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernel
 
 
 def _less_sine(angle: Tensor, sine: Tensor) -> Tensor:
-    """angle - sin(angle) >= 0, without cancellation at small angles."""
+    """Return angle - sin(angle) >= 0, without cancellation at small angles."""
     small = angle < 1
     reduced = torch.where(small, angle, 0.0)
     return torch.where(small, _odd_series(reduced, -1.0), angle - sine)
 
 
 def _sinh_less(value: Tensor) -> Tensor:
-    """sinh(value) - value of |value| < 1, without cancellation."""
+    """Return sinh(value) - value for |value| < 1, without cancellation."""
     return _odd_series(value, 1.0)
 
 
 def _odd_series(value: Tensor, sign: float) -> Tensor:
-    """value^3 / 3! + sign value^5 / 5! + value^7 / 7! + ..."""
+    """Return value^3 / 3! + sign value^5 / 5! + value^7 / 7! + sign value^9 / 9! + ..."""
     squared = value * value
     total = torch.zeros_like(value)
     for k in range(9, 0, -1):

@@ -1,8 +1,8 @@
-"""A half-sphere of skin laid flat: how much an arc is compressed that sticks to the glass (Willemet et al. 2021).
+"""Compression of a skin arc that sticks to the glass when a hemisphere is flattened (Willemet et al. 2021).
 
-The arc L from the first point of contact to the edge becomes the contact radius a. With the angle theta of the arc,
-cos theta = 1 - delta / R, that is L = R theta and a = R sin theta (equation 9), so the strain (L - a) / L (equation 10)
-is 1 - sin theta / theta: theta^2 / 6 for a small angle, where the difference as printed leaves nothing but rounding.
+The arc L from the first point of contact to the edge becomes the contact radius a. With the arc angle theta,
+cos theta = 1 - delta / R, that is L = R theta and a = R sin theta (equation 9). The strain (L - a) / L (equation 10) is
+1 - sin theta / theta, about theta^2 / 6 for a small angle. There the printed difference loses all digits to rounding.
 """
 
 import math
@@ -10,25 +10,25 @@ import math
 import torch
 from torch import Tensor
 
-# theta^2 = 4 asin^2(sqrt(t / 2)) = sum of these times t^k: smooth in t, where the angle itself has a root at 0.
+# theta^2 = 4 asin^2(sqrt(t / 2)) = sum of these times t^k, t = delta / R. It is smooth at t = 0; theta itself is not.
 _SQUARED_ANGLE = tuple(2.0 * 2.0**k / (k * k * math.comb(2 * k, k)) for k in range(1, 20))
 # 1 - sin theta / theta = sum of these times theta^(2 k).
 _SHORTENING = tuple((-1.0) ** (k + 1) / math.factorial(2 * k + 1) for k in range(1, 12))
-_SERIES_UP_TO = 0.25  # of t: the first series then loses a factor of 8 a term, the second of 12 at least
+_SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of 8, of the second by at least 12
 
 
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Compression (L - a) / L without unit, of any shape to which both broadcast, to a few roundings at any depth.
+    """Return the compression (L - a) / L, dimensionless, in the broadcast shape; exact to a few roundings at any depth.
 
-    It is what a frictionless contact lets go and a sticking one holds: about 10 % at 3 mm and a radius of 10 mm.
-    Differentiable, also at delta = 0, where it is delta / (3 R).
+    A frictionless contact releases this compression, a sticking one retains it: about 10 % at 3 mm and a radius of
+    10 mm. Differentiable, also at delta = 0, where it is delta / (3 R).
 
     Args:
         delta: normal indentation, 0 to the radius, in the unit of the radius.
         radius: of the fingertip, positive.
 
     Raises:
-        ValueError: an indentation or a radius outside of that, or NaN.
+        ValueError: an indentation or a radius out of range, or NaN.
     """
     ratio = _ratio(delta, radius)[0]
     small = ratio < _SERIES_UP_TO
@@ -38,19 +38,19 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """L = R arccos((R - delta) / R), in the unit of both; arguments, shape and errors as in `radial_strain`."""
+    """Return L = R arccos((R - delta) / R), in the unit of both; arguments, shape and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """a = sqrt(R^2 - (R - delta)^2), in the unit of both; arguments, shape and errors as in `radial_strain`."""
+    """Return a = sqrt(R^2 - (R - delta)^2), in the unit of both; arguments, shape and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return radius * (ratio * (2 - ratio)).sqrt()
 
 
 def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tensor]:
-    """delta / R and R, float64, checked."""
+    """Return delta / R and R as float64, checked."""
     depth, size = (torch.as_tensor(value, dtype=torch.float64) for value in (delta, radius))
     if not bool(((size > 0) & (size < torch.inf)).all()):
         raise ValueError(f"radius {_worst(size, size > 0)}: give a positive length, in the unit of delta")
@@ -65,13 +65,13 @@ def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tenso
 
 
 def _worst(values: Tensor, allowed: Tensor) -> float:
-    """The first value that is not allowed."""
+    """Return the first value that is not allowed."""
     wrong = values[~(allowed & values.isfinite())]
     return float((wrong if len(wrong) else values).flatten()[0])
 
 
 def _series(coefficients: tuple[float, ...], variable: Tensor) -> Tensor:
-    """c1 x + c2 x^2 + ..., by Horner's rule."""
+    """Return c1 x + c2 x^2 + ..., by Horner's rule."""
     total = torch.zeros_like(variable)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * variable

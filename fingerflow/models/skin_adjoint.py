@@ -1,8 +1,8 @@
-"""Derivatives of where a chain ends up, back along the steps that `skin_implicit` kept: a transposed solve a stage.
+"""Adjoint of a chain's motion, back along the steps that `skin_implicit` recorded: one transposed solve per stage.
 
-A stage solves r = damping (Y - known) - c G(Y, F) = 0 with Dahl's force F(before, from, Y). A wanted w on Y becomes
-lambda = M^-T w with M = dr/dY, then damping lambda on what was known and c lambda on the forces. The lengths of the
-steps are taken as they are: their dependence on the parameters is of the order of the tolerance.
+A stage solves r = damping (Y - known) - c G(Y, F) = 0 with Dahl's force F(before, from, Y). A gradient w with respect
+to Y becomes lambda = M^-T w with M = dr/dY. The gradient is then damping lambda for `known` and c lambda for the
+forces. Step lengths are treated as constants: their dependence on the parameters is of the order of the tolerance.
 """
 
 from typing import NamedTuple
@@ -14,12 +14,12 @@ from fingerflow.models.skin_forces import Array, Chain, elastic_forces, elastic_
 from fingerflow.models.skin_implicit import TO_EARLIER, TO_LATER, C
 from fingerflow.models.skin_solve import Arrow
 
-Stage = tuple[Array, Array, Array]  # places (N, 2), bone (2,), friction (N,)
+Stage = tuple[Array, Array, Array]  # positions (N, 2), bone (2,), friction (N,)
 _ELASTIC = ("membrane", "tissue", "shear", "nail", "contact")
 
 
 class Back(NamedTuple):
-    """Derivatives with what there was at the beginning."""
+    """Gradients with respect to stiffnesses, friction coefficients and the initial state."""
 
     stiffness: Array  # (6,) membrane, tissue, shear, nail, contact, friction
     friction: Array  # (N,) coefficients
@@ -36,18 +36,21 @@ def stiffness_gradients(
     record: Array,
     wanted: Stage,
 ) -> Back:
-    """Of what is ``wanted`` of the end of ``record`` (steps, ...), which ``begin`` led to."""
+    """Return the gradients for ``wanted``, the gradient with respect to the state at the end of ``record``.
+
+    ``begin`` is the state before the first step; ``record`` has one row per step, written by `skin_implicit.advance`.
+    """
     count = len(mu)
     place, bone, rubbed = begin
     of_place, of_bone, of_rubbed = wanted
     stiffness, coefficients = np.zeros(6), np.zeros(count)
-    speed, bone_speed = np.zeros((count, 2)), np.zeros(2)  # wanted of the velocity
+    speed, bone_speed = np.zeros((count, 2)), np.zeros(2)  # gradients with respect to the velocity
 
     def stage(row: Array) -> Stage:
         return row[: 2 * count].reshape(count, 2), row[2 * count : 2 * count + 2], row[2 * count + 2 :]
 
     def back(before: Array, start: Array, end: Stage, c: float) -> tuple[Array, Array, Array, Array]:
-        """Through one stage: wanted of what was known (elements, bone), of where it slid from, and of F before."""
+        """Go back through one stage: gradients for `known` (elements, bone), the slide's origin, and the F before."""
         nonlocal of_place, of_bone, of_rubbed
         at, bone_at, _ = end
         rubbing = friction(chain, mu, before, start, at)
@@ -83,10 +86,10 @@ def stiffness_gradients(
         of_place, of_bone = earlier + known + slid_from, bone_earlier + bone_known
         speed, bone_speed = c * known, np.where(held, 0.0, c * bone_known)
 
-    # The first velocity is that of the forces there.
+    # The initial velocity follows from the forces on the initial state.
     slopes = elastic_slopes(chain, place, bone)
     nothing = friction(chain, 0 * mu, rubbed, place, place)
-    whole = Arrow(chain, slopes, nothing, 1.0, held)  # damping + K, of which K is wanted
+    whole = Arrow(chain, slopes, nothing, 1.0, held)  # damping + K; damping is subtracted below
     pull, bone_pull = speed / chain.damping, bone_speed / chain.bone_damping
     times, bone_times = whole.times(pull, bone_pull)
     of_place = of_place - (times - chain.damping * pull)
@@ -99,6 +102,6 @@ def stiffness_gradients(
 
 
 def _alone(chain: Chain, name: str) -> Chain:
-    """The chain with this stiffness 1 and no other: forces are linear in them."""
+    """Return the chain with this stiffness set to 1 and the others to 0: forces are linear in the stiffnesses."""
     membrane, tissue, shear, nail, contact = (float(name == one) for one in _ELASTIC)
     return chain._replace(membrane=membrane, tissue=tissue, shear=shear, nail=nail, contact=contact)

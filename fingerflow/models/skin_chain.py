@@ -1,8 +1,8 @@
 """A chain of skin around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin deformation
 model"), derived from an energy.
 
-**Energy.** Elements i at X_i = (x, z), the plate at z = 0, hang on a rigid bone displaced by U; X_i0 is the undeformed
-half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
+**Energy.** Elements i at X_i = (x, z) surround a rigid bone displaced by U; the plate is at z = 0. X_i0 is the
+undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
 
     E = 1/2 k_m sum |u_(i+1) - u_i|^2                  links between neighbours
       + 1/2 (k_t - k_s) sum (|X_i - P| - R)^2          tissue along the line to the bone
@@ -10,29 +10,29 @@ half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
       + 1/2 k_m sum over both ends |u_i - U|^2         the nail
       + 1/2 k_c sum min(z_i, 0)^2                      the plate, a penalty
 
-A column of tissue has the stiffness k_t along itself and, as a solid's shear modulus is E / (2 (1 + nu)), k_s across.
-All is damped, zeta dX_i/dt = -dE/dX_i - F_i, the bone likewise with the load on it; F_i is Dahl's friction along x
-under the limit mu k_c max(-z_i, 0), see `friction`. Without load the power zeta |dX/dt|^2 + F dx/dt is all that E
-loses.
+A column of tissue has the stiffness k_t along itself and k_s across, as a solid's shear modulus is E / (2 (1 + nu)).
+All motion is damped: zeta dX_i/dt = -dE/dX_i - F_i, and the bone likewise with the load on it. F_i is Dahl's friction
+along x under the limit mu k_c max(-z_i, 0), see `friction`. Without load, E decreases exactly by the dissipated power
+zeta |dX/dt|^2 + F dx/dt.
 
-**What makes skin spread.** A column that is flattened leans outward from the bone, so that its compression has a
-component along the plate, (k_t - k_s) times the slope of the arc: the chord it is laid on is too short for it. Friction
-points against the motion of each element and holds part of that back: more friction, less divergence.
+**Why skin spreads.** A flattened column leans outward from the bone, so its compression has a component along the
+plate, (k_t - k_s) times the slope of the arc: the chord is shorter than the arc laid on it. Friction opposes the
+motion of each element and prevents part of the spreading: more friction, less divergence.
 
-**Where this departs from print.** The links' force is equation 4 with its first sign put right, +k_m (U_(i-1) - 2 U_i +
-U_(i+1)); as printed it is unstable. Links that resist their length alone would fold: the chain does not resist bending,
-and at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement. The tissue's
-springs act in print by component with k sin(alpha), k cos(alpha), which is no spring's force and couples no direction
-to the other; here they are derivatives of E. The published script's friction points along the sliding velocity and
-feeds energy in. Its term in nu is a sign function along the chain, which pushes both halves apart as blocks with a jump
-in the middle; here nu is in k_s alone. So lateral motion is that of another model: pressure and contact length can be
-compared with the paper's curves, and the direction and the order of size of what friction does; the course of
-displacement and divergence along the contact cannot.
+**Departures from print.** The links' force is equation 4 with its first sign corrected, +k_m (U_(i-1) - 2 U_i +
+U_(i+1)); as printed it is unstable. Links that resist only a change of length would fold, because the chain does not
+resist bending: at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement.
+The printed tissue springs act by component with k sin(alpha), k cos(alpha). That is no spring's force and does not
+couple the directions; here the forces are derivatives of E. The published script's friction points along the sliding
+velocity and adds energy. Its term in nu is a sign function along the chain, which pushes the two halves apart as
+blocks with a jump in the middle; here nu enters k_s alone. Lateral motion is therefore that of another model. Pressure,
+contact length and the sign and order of magnitude of friction's effect can be compared with the paper's curves. The
+profiles of displacement and divergence along the contact cannot.
 
-The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed
-up by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is
-negative, and most of an area of revolution lies there: a median by area says little of friction (5, 9 and 8 um/mm at
-mu = 0, 0.05 and 1 with the lab's numbers and 3 N, where the one along the contact has 44, 22 and 16).
+The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x, summarised by
+its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is negative,
+and most of an area of revolution lies there. A median by area is therefore insensitive to friction: 5, 9 and 8 um/mm at
+mu = 0, 0.05 and 1 with the lab's parameters and 3 N, where the median along the contact is 44, 22 and 16.
 """
 
 import math
@@ -46,19 +46,19 @@ from fingerflow.models.skin_motion import Chains, Motion, moved, stiffness_of
 from fingerflow.models.skin_parameters import Number, SkinParameters, named
 
 Friction = float | Tensor | Callable[[float, Tensor], Tensor]
-TOLERANCE_M = 5e-8  # of a place in one step; after some 150 steps places are right to about twice that
-CONTACT_N = 1e-9  # from which an element touches: rounding leaves less
-REST = 2e-7  # of the load, all that is out of balance added up
+TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
+CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
+REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
 
 
 @dataclass(frozen=True)
 class PressedChain:
-    """Chains of N elements, leading dimensions (...) those of the parameters, after T times of `follow` before them."""
+    """Chains of N elements; leading dimensions (...) are those of the parameters, after the T times of `follow`."""
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
-    displacement: Tensor  # (..., N, 2) m from the undeformed chain before it moved
-    normal_force: Tensor  # (..., N) N, of the plate on each element
-    friction_force: Tensor  # (..., N) N along x, of the plate on each element
+    displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
+    normal_force: Tensor  # (..., N) N, exerted by the plate on each element
+    friction_force: Tensor  # (..., N) N along x, exerted by the plate on each element
     pressure: Tensor  # (..., N) Pa, compression positive
     traction: Tensor  # (..., N) Pa along x on the skin
     coefficient: Tensor  # (..., N) of friction
@@ -66,13 +66,15 @@ class PressedChain:
     divergence_field: Tensor  # (..., N) du/dx + u/x, NaN outside of the contact
     divergence: Tensor  # (...) its median along the contact, NaN without one
     contact_length: Tensor  # (...) m
-    bone: Tensor  # (..., 2) m of displacement
-    balance: Tensor  # (...) N: the absolute values of all that is out of balance on elements and bone, added up
-    time: Tensor  # (...) s that passed until then
+    bone: Tensor  # (..., 2) m, displacement
+    balance: Tensor  # (...) N: sum of the absolute unbalanced forces on elements and bone
+    time: Tensor  # (...) s, elapsed
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, for `half_space.stress`."""
+        """Return edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, for
+        `half_space.stress`. Raises ValueError if nothing touches.
+        """
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
         if not len(found):
@@ -95,30 +97,30 @@ def press(
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
 ) -> PressedChain:
-    """A load put on at once and held until all forces balance, to 2e-7 of it.
+    """Apply a load at once and hold it until all forces balance, to 2e-7 of the load.
 
-    Friction leaves the rest where the way to it ended: this is the rest after a sudden load. Differentiable in
-    friction, stiffnesses and sigma_0: exactly, along the steps that were taken (their lengths held), by the adjoint of
-    each.
+    With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. Differentiable in
+    friction, stiffnesses and sigma_0 by the adjoint of each step taken: exact for fixed step lengths.
 
     Args:
-        friction: coefficient mu >= 0, a number or a tensor for many presses; or a function of the time in s and of the
-            places x (..., N) in m that gives the coefficient of each element, here for the undeformed chain at time 0.
+        friction: coefficient mu >= 0, a number or a tensor for many presses. Or a function of the time in s and the
+            positions x (..., N) in m that returns each element's coefficient; here for the undeformed chain at time 0.
         parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
         load_n: force that presses the bone down, N; with ``indentation_m`` that motion of the bone instead.
         tangential_n: force that pulls the bone along +x, N; with ``slide_m`` that motion instead.
-        elements: 4 or more; the parameters are those of 501 and are converted.
-        tolerance_m: error of a place in one step.
-        longest_s: it ends there without rest, which `balance` tells: a bone that is pulled over the limit slides on.
+        elements: 4 or more; the parameters refer to 501 elements and are converted.
+        tolerance_m: position error in one step.
+        longest_s: time limit. A bone pulled beyond the friction limit slides on: the press then ends without
+            equilibrium, and `balance` shows it.
 
     Raises:
-        ValueError: a negative or unknown friction, parameters that cannot be, fewer than 4 elements.
-        RuntimeError: no step that keeps the tolerance.
+        ValueError: a negative or unknown friction, impossible parameters, fewer than 4 elements.
+        RuntimeError: no step length meets the tolerance.
     """
     chains, start = _begun(friction, parameters, elements, load_n, tangential_n, indentation_m, slide_m)
     ends, held = _loads(chains.shape, load_n, tangential_n, indentation_m, slide_m)
     coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
-    # Motions that are given are made in the time constant of the skin; a force is there at once.
+    # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
     if any(held):
         ramp = torch.stack((torch.where(torch.tensor(held), 0.0, ends), ends), -2)
         start = moved(chains, start, coefficient, ramp, held, 0.01, tolerance_m, 0.0)
@@ -139,10 +141,11 @@ def follow(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
-    """The chain at each of the times (T,), under loads that are linear between them, such as a measured force trace.
+    """Compute the chain at each of the times (T,), under loads linear between them, such as a measured force trace.
 
-    Args as in `press`, each load (T,) or (T, ...); it begins undeformed. Friction as a function is asked at each time,
-    at the places where elements then are. Not differentiable; raises ValueError where a derivative is asked for.
+    Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
+    each time, at the current positions of the elements. Not differentiable: raises ValueError if an input requires a
+    gradient.
     """
     steps = time.double().diff()
     if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
@@ -180,7 +183,7 @@ def _begun(
     indentation_m: Number | None,
     slide_m: Number | None,
 ) -> tuple[Chains, Motion]:
-    """Chains of all parameter sets, and how they begin."""
+    """Return the chains of all parameter sets and their undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [load_n, tangential_n, indentation_m, slide_m, *([] if callable(friction) else [friction])]
@@ -198,7 +201,7 @@ def _loads(
     indentation_m: Number | None,
     slide_m: Number | None,
 ) -> tuple[Tensor, tuple[bool, bool]]:
-    """(..., 2) along x and z, and which of them are motions."""
+    """Return the loads (..., 2) along x and z, and for each direction whether it is a prescribed motion."""
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m
     both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]
@@ -217,7 +220,7 @@ def _trace(name: str, value: Tensor | float | None, count: int) -> Tensor | None
 
 
 def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) -> Tensor:
-    """(..., N) of each element."""
+    """Return the friction coefficient (..., N) of each element."""
     found = friction(time, x) if callable(friction) else torch.as_tensor(friction, dtype=torch.float64)[..., None]
     coefficient = torch.as_tensor(found, dtype=torch.float64).expand(*shape, x.shape[-1])
     known = (coefficient >= 0) & (coefficient < math.inf)
@@ -236,7 +239,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
     length = _between_neighbours(x)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]
     slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
-    # The part of u that is odd about the axis, over its distance from it; in the middle its slope.
+    # Hoop strain u / x: the part of u that is odd about the axis, over the distance from it; on the axis the slope.
     across = reference[..., 0] - reference[..., 0].flip(-1)
     apart = displacement[..., 0] - displacement[..., 0].flip(-1)
     middle = across == 0
@@ -263,7 +266,11 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """(..., N - 1) of each link: as far as the forces of the last two elements lead to 0, so contact has no jumps."""
+    """Return the share (..., N - 1) of each link on the plate.
+
+    Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
+    length has no jumps.
+    """
     padded = torch.nn.functional.pad(force, (1, 1))
     before, own, after = padded[..., :-3], force[..., :-1], force[..., 1:]
     behind = padded[..., 3:]
@@ -278,14 +285,14 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
 
 
 def _between_neighbours(values: Tensor) -> Tensor:
-    """Half of the difference of both neighbours (..., N), of the one neighbour at an end."""
+    """Return half the difference of both neighbours (..., N); at an end the difference to the one neighbour."""
     inside = (values[..., 2:] - values[..., :-2]) / 2
     ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
     return torch.cat((ends[0], inside, ends[1]), -1)
 
 
 def weighted_median(values: Tensor, weights: Tensor) -> Tensor:
-    """(...) where half of the weight lies below, linear between values; NaN without weight."""
+    """Return the weighted median (...), linear between values; NaN without weight."""
     order = torch.where(weights > 0, values, torch.inf).argsort(-1)
     values, weights = values.gather(-1, order), weights.gather(-1, order)
     reached = (weights.cumsum(-1) - weights / 2) / weights.sum(-1, keepdim=True)

@@ -1,10 +1,10 @@
-"""The published integrator: explicit Runge-Kutta of fourth order, with the step that it really allows.
+"""The published integrator: explicit fourth-order Runge-Kutta, with its actual stability limit on the step.
 
-The paper's equation 6 shows explicit Euler (and subtracts in its first line the load that its equation 5 adds); its
-text says fourth-order Runge-Kutta, at 2.5 us. Its bound by a wave speed of 440 m/s cannot be: 501 elements are 50 um
-apart, and nothing travels in a chain without mass. What bounds the step is relaxation: with lambda the largest rate,
-step * lambda must stay below 2.785. That is the rate of the bone, to which all tissue pulls: 1.12e6 1/s with the lab's
-numbers, so that 2.5 us are too long and 2.48 us are not.
+The paper's equation 6 shows explicit Euler, and its first line subtracts the load that equation 5 adds. The text states
+fourth-order Runge-Kutta at 2.5 us. Its bound by a wave speed of 440 m/s cannot hold: 501 elements are 50 um apart, and
+no wave travels in a chain without mass. Relaxation bounds the step: with lambda the largest rate, step * lambda must
+stay below 2.785. That is the rate of the bone, which all tissue pulls on: 1.12e6 1/s with the lab's parameters. So
+2.5 us are too long and 2.48 us are not.
 """
 
 import math
@@ -17,14 +17,14 @@ from fingerflow.models.skin_forces import Array, Chain, Friction, elastic_forces
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_solve import Arrow
 
-REAL_LIMIT = 2.785293563405282  # of step * rate, of any Runge-Kutta method of order and stages 4
+REAL_LIMIT = 2.785293563405282  # of step * rate, for any four-stage Runge-Kutta method of order 4
 
 
 def march(chain: Chain, state: State, mu: Array, load: Load, duration: float, step: float) -> None:
-    """Goes on for ``duration`` s in even steps of at most ``step`` s; the state is changed.
+    """Advance by ``duration`` s in equal steps of at most ``step`` s; changes the state in place.
 
     Raises:
-        ValueError: a step over `largest_step`.
+        ValueError: a step over `largest_step`, or a prescribed motion of the bone.
     """
     most = largest_step(chain)
     if not 0 < step <= most:
@@ -53,14 +53,15 @@ def march(chain: Chain, state: State, mu: Array, load: Load, duration: float, st
 
 
 def largest_step(chain: Chain) -> float:
-    """s: 2.785 over the largest rate of the undeformed chain with every element on the plate and in friction.
+    """Return the largest stable step (s): 2.785 over the largest rate.
 
-    Contact and friction only add to stiffness, so no state between has a larger rate but by what lengths change.
+    The rate is that of the undeformed chain with every element on the plate and in friction. Contact and friction only
+    add stiffness, so other states have no larger rate except through changes of length.
     """
     count = len(chain.reference)
     slopes = elastic_slopes(chain, chain.reference, np.zeros(2))
     slopes.touching = np.full(count, chain.contact)
-    steep = np.full(count, chain.friction_stiffness * 2**chain.exponent)  # sigma_0 |1 - s F / F_c|^n up to a turn
+    steep = np.full(count, chain.friction_stiffness * 2**chain.exponent)  # largest slope: on reversal at the limit
     arrow = Arrow(chain, slopes, Friction(steep, steep, *np.zeros((5, count))), 1.0, np.zeros(2, dtype=bool))
     roots = np.sqrt(np.concatenate((np.full(2 * count, chain.damping), np.full(2, chain.bone_damping))))
 
@@ -71,13 +72,13 @@ def largest_step(chain: Chain) -> float:
 
     size = 2 * count + 2
     operator = LinearOperator((size, size), matvec=scaled, dtype=np.float64)
-    start = np.cos(np.arange(size)) + 2  # any, but always the same one
+    start = np.cos(np.arange(size)) + 2  # arbitrary but fixed, for reproducible results
     largest = float(eigsh(operator, k=1, which="LA", return_eigenvectors=False, v0=start)[0]) - 1.0
     return REAL_LIMIT / largest
 
 
 class ChainState(NamedTuple):
-    """Of a state, or its rates."""
+    """State of a chain, or its rates of change."""
 
     place: Array  # (N, 2) m
     bone: Array  # (2,) m
@@ -89,7 +90,7 @@ def _after(at: ChainState, h: float, speeds: ChainState) -> ChainState:
 
 
 def rates(chain: Chain, mu: Array, at: ChainState, load: Array) -> ChainState:
-    """Of equation 5 with forces from the energy, and of equation 7 without its stray factor."""
+    """Compute the rates of equation 5, with forces from the energy, and of equation 7 without its stray factor."""
     forces, on_bone = elastic_forces(chain, at.place, at.bone)
     limit = mu * chain.contact * np.maximum(-at.place[:, 1], 0)
     held = np.clip(at.friction, -limit, limit)

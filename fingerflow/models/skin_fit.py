@@ -1,4 +1,4 @@
-"""Friction and stiffness of the skin chain from a measured press: its divergence or contact against normal force."""
+"""Fit of the skin chain's friction and stiffness to measured divergence or contact length against normal force."""
 
 from dataclasses import dataclass, replace
 
@@ -12,22 +12,22 @@ from torch import Tensor
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import SkinParameters, named
 
-_STEP = 0.03  # of a logarithm: contact grows by elements, over which a difference must go
+_STEP = 0.03  # finite-difference step of the logarithms; it spans several elements, by which contact grows
 _FARTHEST = 50.0  # times the first guess, either way
 
 
 @dataclass(frozen=True)
 class SkinFit:
-    """Estimates and their intervals (low, high) at `level`; None of what was taken as given."""
+    """Estimates and their intervals (low, high) at `level`; the interval of a parameter that was not fitted is None."""
 
     friction: float
     friction_interval: tuple[float, float] | None
     tissue_stiffness: float  # N/m, k_t of one of 501 elements
     tissue_interval: tuple[float, float] | None
     level: float
-    misfit: float  # root of the mean square of residuals over their errors: 1 if errors are right and the model is
-    count: int  # of measured numbers
-    parameters: SkinParameters  # with the stiffness that was found
+    misfit: float  # root mean square of residuals over their errors: 1 if errors and model are right
+    count: int  # of measured values
+    parameters: SkinParameters  # with the fitted stiffness
 
 
 def fit_skin(
@@ -42,24 +42,24 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Least squares in the logarithms of what the curves determine; the plate's stiffness stays in its ratio to k_t.
+    """Fit friction and k_t by least squares in their logarithms; the plate's stiffness keeps its ratio to k_t.
 
-    Divergence alone gives friction at the stiffness of ``parameters``, contact alone that stiffness at ``friction``,
-    both give both: from divergence alone more of the one looks like less of the other. Intervals are those of the
-    linear model at the best fit, with Student's quantile and the spread that residuals have: in the logarithm, so that
-    they hold the estimate and no negative number. Divergence hardly depends on a friction under which everything sticks
-    (above 0.2 or so): a wide interval says so.
+    Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
+    stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks
+    like less stiffness. Intervals are those of the linearised model at the best fit, with Student's quantile and the
+    spread of the residuals. They are computed in the logarithm, so they contain the estimate and stay positive. Above
+    about 0.2 everything sticks and divergence hardly depends on friction: the interval is then wide.
 
     Args:
-        load_n: (K,) N, normal forces of the measured numbers, each taken as a press of its own from nothing.
-        divergence: (K,) without unit, median along the contact; NaN where it is not known.
-        contact_length_m: (K,) m; of an area A of contact that is round, sqrt(4 A / pi).
+        load_n: (K,) N, normal forces of the measured values, each simulated as a separate press of an undeformed chain.
+        divergence: (K,), dimensionless, median along the contact; NaN where it is not known.
+        contact_length_m: (K,) m; for a round contact of area A, sqrt(4 A / pi).
         divergence_error, contact_error_m: standard deviations of the two, which weigh them against each other.
-        friction: where the search begins, or what is given.
+        friction: initial value, or the fixed value if it is not fitted.
 
     Raises:
-        ValueError: fewer than three measured numbers, shapes that do not belong together, a force that is not positive,
-            or a friction or stiffness that runs to 50 times where it began or a fiftieth.
+        ValueError: fewer than three measured values, shapes that do not match, a force that is not positive,
+            or a friction or stiffness that reaches 50 times or 1/50 of its initial value.
     """
     given = {"divergence": (divergence, divergence_error), "contact_length": (contact_length_m, contact_error_m)}
     measured = {name: values.double() for name, (values, _) in given.items() if values is not None}
@@ -79,7 +79,7 @@ def fit_skin(
     first = begin[free]
 
     def at(logarithms: Tensor) -> Tensor:
-        """Residuals (S, count) of sets (S, 2), all presses together."""
+        """Return the residuals (S, count) of S sets of the fitted logarithms; all presses run in one batch."""
         both = torch.from_numpy(begin).repeat(len(logarithms), 1)
         both[:, torch.from_numpy(free)] = logarithms
         mu, tissue = both.exp()[..., None].unbind(1)

@@ -1,4 +1,4 @@
-"""Energy of one skin chain, its forces and their slopes; the derivation stands in `skin_chain`."""
+"""Energy of one skin chain, its forces and their derivatives; `skin_chain` has the derivation."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,12 +10,12 @@ Array = NDArray[np.float64]
 
 
 class Chain(NamedTuple):
-    """One chain of N elements as it is undeformed, with its numbers."""
+    """One undeformed chain of N elements with its parameters."""
 
     reference: Array  # (N, 2) x along the plate and z above it, m
     radius: float
     membrane: float  # N/m of a link, in every direction
-    tissue: float  # N/m along the line to the bone, without what it resists in every direction
+    tissue: float  # N/m along the line to the bone, k_t - k_s: without the isotropic part `shear`
     shear: float  # N/m in every direction
     nail: float  # N/m at both ends, in every direction
     contact: float  # N/m
@@ -26,13 +26,13 @@ class Chain(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Of the half-circle: where the tissue's lines meet."""
+        """Return the centre of the half-circle, where the tissue's lines meet."""
         return np.array([0.0, self.radius])
 
 
 @dataclass
 class Slopes:
-    """Negative derivatives of the elastic forces: what `skin_solve` puts together."""
+    """Negative derivatives of the elastic forces, from which `skin_solve` assembles its matrix."""
 
     link: float  # of a link between its elements, in every direction
     tissue: Array  # (N, 2, 2) between an element and the bone
@@ -40,7 +40,7 @@ class Slopes:
 
 
 def half_circle(count: int, radius: float) -> Array:
-    """(N, 2), mirrored to the last bit, its lowest point on the plate."""
+    """Return the half-circle (N, 2), exactly mirror-symmetric, its lowest point on the plate."""
     right = (
         np.linspace(0, np.pi / 2, count // 2 + 1)[1:]
         if count % 2
@@ -52,7 +52,7 @@ def half_circle(count: int, radius: float) -> Array:
 
 
 def energy(chain: Chain, place: Array, bone: Array) -> float:
-    """Elastic energy, J: links, tissue, nail and plate."""
+    """Compute the elastic energy (J) of links, tissue, nail and plate."""
     moved = place - chain.reference - bone
     line = np.hypot(*(place - chain.centre - bone).T)
     nail = moved[[0, -1]]
@@ -69,7 +69,7 @@ def energy(chain: Chain, place: Array, bone: Array) -> float:
 
 
 def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Array]:
-    """Forces (N, 2) on the elements and (2,) on the bone: minus the slopes of `energy`."""
+    """Compute the forces (N, 2) on the elements and (2,) on the bone: the negative gradient of `energy`."""
     pull = chain.membrane * np.diff(place - chain.reference, axis=0)
     line = place - chain.centre - bone
     along = np.hypot(*line.T)
@@ -84,7 +84,7 @@ def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Arra
 
 
 def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
-    """Of `elastic_forces`."""
+    """Compute the negative derivatives of `elastic_forces`."""
     line = place - chain.centre - bone
     along = np.hypot(*line.T)
     direction, ratio = line / along[:, None], chain.radius / along
@@ -95,25 +95,25 @@ def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
 
 
 class Friction(NamedTuple):
-    """Dahl's force (N,) after a slide, and its slopes.
+    """Dahl's force (N,) after a slide, and its derivatives.
 
-    That with the place it slid from along the plate is minus the one with the place.
+    The derivative with respect to the along-plate position it slid from is minus `along`.
     """
 
     force: Array
-    along: Array  # with the place along the plate
-    above: Array  # and above it
-    before: Array  # with the force before
-    from_above: Array  # with the height it slid from
-    steep: Array  # with mu k_c
-    spring: Array  # with sigma_0
+    along: Array  # by the position along the plate
+    above: Array  # by the height above it
+    before: Array  # by the force before
+    from_above: Array  # by the height it slid from
+    steep: Array  # by mu k_c
+    spring: Array  # by sigma_0
 
 
 def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -> Friction:
-    """After a slide from ``old`` to ``place``, both (N, 2): `friction.dahl_step` under the middle of both limits, cut.
+    """Compute Dahl's force after a slide from ``old`` to ``place``, both (N, 2), and its derivatives.
 
-    With the middle the error of a limit that changes is of third order; cut to the last limit the force never exceeds
-    it.
+    `friction.dahl_step` is taken at the mean of the limits before and after, which makes the error of a changing limit
+    third order. The result is clamped to the last limit, so the force never exceeds it.
     """
     steep, deep, was_deep = mu * chain.contact, np.maximum(-place[:, 1], 0), np.maximum(-old[:, 1], 0)
     last = steep * deep
@@ -134,10 +134,10 @@ def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -
     else:
         base = np.maximum(1 - power * distance, 0)
         kept = base ** (1 / power)  # u / u_0
-        rest = np.where(base > 0, base ** (n / power), 0.0)  # its slope with the distance, and (u / u_0)^n
+        rest = np.where(base > 0, base ** (n / power), 0.0)  # -d(u / u_0) / d distance = (u / u_0)^n
     after = np.where(done, sign * limit, held + sign * limit * left * (1 - kept))
     along = chain.friction_stiffness * left**n * rest
-    # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: with the limit both u_0 and the distance in its units change.
+    # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: a change of the limit changes u_0 and the scaled distance.
     of_left = np.where(cut, 0.0, sign * held / limit**2)
     of_limit = np.where(
         done, sign, sign * (1 - left * kept) - sign * limit * (rest * of_left + left * rest * distance / limit)

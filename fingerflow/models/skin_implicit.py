@@ -1,9 +1,9 @@
-"""TR-BDF2 of one skin chain: a trapezium to 2 - sqrt 2 of the step, the second-order backward formula over the rest.
+"""TR-BDF2 integrator of one skin chain: trapezoidal rule to 2 - sqrt 2 of the step, then second-order backward formula.
 
-Both stages have the same matrix, damping I + c K with c = (1 - 1 / sqrt 2) step; the method is of second order and
-damps what is stiff. Its error is estimated by Hosea & Shampine (1996), equation 6, and filtered by the same matrix, as
-they advise for stiff systems. Contact that begins or ends is a kink: Newton's steps go across it, and the error keeps
-the step short; nothing is gained by locating it.
+Both stages have the same matrix, damping I + c K with c = (1 - 1 / sqrt 2) step. The method is of second order and
+damps stiff modes. Its error is estimated by Hosea & Shampine (1996), equation 6, and filtered by the same matrix, as
+they advise for stiff systems. Contact that begins or ends is a kink. Newton's iteration steps across it and the error
+estimate keeps the step short; locating the kink brings no gain.
 """
 
 import math
@@ -20,18 +20,18 @@ C = GAMMA / 2  # of the step, in both stages
 TO_LATER, TO_EARLIER = 1 / (GAMMA * (2 - GAMMA)), (1 - GAMMA) ** 2 / (GAMMA * (2 - GAMMA))
 ERROR = 2 * (-3 * GAMMA**2 + 4 * GAMMA - 2) / (12 * (2 - GAMMA))
 MOST_ITERATIONS = 12
-NEWTON = 0.1  # of the tolerance of a step
+NEWTON = 0.1  # convergence of Newton's iteration, as a share of the step's tolerance
 MOST_STEPS = 100_000
 
 
 @dataclass
 class State:
-    """Of one chain; changed in place."""
+    """State of one chain; changed in place."""
 
     place: Array  # (N, 2) m
-    bone: Array  # (2,) m from where it began
-    friction: Array  # (N,) N, on what moves along +x
-    velocity: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) m/s, found when it moves on
+    bone: Array  # (2,) m from its initial position
+    friction: Array  # (N,) N, positive where it opposes motion along +x
+    velocity: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) m/s, set by `advance`
     bone_velocity: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m/s
     step: float = 1e-6  # s, the next one
     steps: int = 0
@@ -41,7 +41,7 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """On the bone over one interval, along x and z: forces in N, or in a direction that is held displacements in m."""
+    """Load on the bone over one interval, along x and z: forces in N, or displacements in m in a held direction."""
 
     first: Array  # (2,)
     last: Array  # (2,)
@@ -52,7 +52,7 @@ class Load:
 
 
 def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """What is out of balance on elements (N, 2) and bone (2,), N; a bone that is held is in balance."""
+    """Return the unbalanced forces (N) on elements (N, 2) and bone (2,); 0 in held directions of the bone."""
     forces, bone = elastic_forces(chain, state.place, state.bone)
     forces[:, 0] -= state.friction
     return forces, np.where(held, 0.0, bone + load)
@@ -68,10 +68,13 @@ def advance(
     rest: float,
     record: list[Array] | None = None,
 ) -> float:
-    """Goes on for ``duration`` s, or until forces are in balance to ``rest`` N; returns the time gone, s.
+    """Advance by ``duration`` s, or until forces balance to ``rest`` N; return the elapsed time (s).
 
-    ``mu`` (N,) is each element's coefficient. ``tolerance`` in m is that of the error of a place in one step. Kept
-    steps are added to ``record``: time, length, and of both stages places, bone and friction.
+    ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. Each
+    accepted step is appended to ``record``: time, length, then position, bone and friction of both stages.
+
+    Raises:
+        RuntimeError: the step length falls below 1e-13 s, or 100,000 steps do not reach the end.
     """
     forces, on_bone = net_forces(chain, state, load.at(0.0), load.held)
     rate = (load.last - load.first) / duration
@@ -83,7 +86,7 @@ def advance(
         step = left if state.step > 0.99 * left else state.step
         error, stages = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
         growth = _growth(error)
-        if growth < 1 or step == state.step:  # a step that ended the time early says nothing about longer ones
+        if growth < 1 or step == state.step:  # a last step cut short says nothing about longer ones
             state.step = step * growth
         if error <= 1:
             if record is not None:
@@ -106,16 +109,20 @@ def advance(
 
 
 def _growth(error: float) -> float:
-    """Powers of 2^(1/4), from 2^(-7/4) to 2: so rounding of the error does not go on into the steps."""
+    """Return the factor for the next step: powers of 2^(1/4), from 2^(-7/4) to 2.
+
+    The coarse grid keeps rounding in the error from changing the step lengths.
+    """
     return float(2 ** (max(-7, min(4, math.floor(4 * math.log2(0.7 * min(max(error, 1e-9), 1e9) ** (-1 / 3))))) / 4))
 
 
 def _try(
     chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
 ) -> tuple[float, tuple[Array, ...]]:
-    """One step, kept where its error over the tolerance, which is returned, is at most 1; infinite without a solution.
+    """Try one step and accept it if its error over the tolerance is at most 1; return that ratio and the stages.
 
-    With it places, bone and friction of both stages.
+    The ratio is infinite if Newton's iteration fails. The stages are position, bone and friction of both, empty if the
+    step is rejected.
     """
     c, share = C * step, step / duration
     old, old_bone, held = state.place, state.bone, load.held
@@ -171,7 +178,10 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Array, Arrow] | None:
-    """Place, bone, friction and last matrix of damping (X - known) = c forces(X); None where it is not found."""
+    """Solve damping (X - known) = c forces(X) for position, bone and friction, and return the last matrix with them.
+
+    Returns None if Newton's iteration does not converge.
+    """
     place, bone = guess
     for _ in range(MOST_ITERATIONS):
         state.iterations += 1

@@ -1,4 +1,4 @@
-"""Many skin chains moved on together: compiled where that serves, else one after the other; with its adjoint."""
+"""Motion of many skin chains: compiled where available, else one after the other; with its adjoint."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,28 +13,28 @@ from fingerflow.models.skin_forces import Chain, half_circle
 from fingerflow.models.skin_implicit import MOST_STEPS, Load, State, advance, net_forces
 from fingerflow.models.skin_parameters import SkinParameters
 
-# Of a chain, in the order of `Chain` behind its shape and of the compiled twin.
+# Parameters of a chain, in the order of the fields of `Chain` after `reference` and of the compiled kernel.
 NUMBERS = ("radius", "membrane", "tissue", "shear", "nail", "contact", "damping", "bone_damping", "spring", "exponent")
-# In which a rest can be differentiated; the others change the shape or the way to it.
+# Differentiable parameters; the others change the shape or the path to equilibrium.
 STIFFNESSES = ("membrane", "tissue", "shear", "nail", "contact", "spring")
 _FIRST_STEP = 1e-6  # s
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where chains (..., N elements) are and how they came there; float64, SI units."""
+    """State of chains (..., N elements) and the time and steps that led to it; float64, SI units."""
 
     place: Tensor  # (..., N, 2)
     bone: Tensor  # (..., 2)
-    rubbed: Tensor  # (..., N) friction on what moves along +x
-    step: Tensor  # (...) the next one
+    rubbed: Tensor  # (..., N) friction force, positive where it opposes motion along +x
+    step: Tensor  # (...) length of the next step
     time: Tensor  # (...) since the beginning
     steps: Tensor  # (...) int64
 
 
 @dataclass(frozen=True)
 class Chains:
-    """Chains of one number of elements with parameters of one shape (...)."""
+    """Chains with one number of elements and parameters of one shape (...)."""
 
     shape: torch.Size
     reference: Tensor  # (..., N, 2)
@@ -43,7 +43,11 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Of ``count`` elements; what is there once, the nail and the damping of the bone, does not depend on that."""
+        """Return chains of ``count`` elements; nail and bone damping exist once and do not depend on ``count``.
+
+        Raises:
+            ValueError: radius, damping or friction_exponent requires a gradient.
+        """
         parameters = skin.for_elements(count)
 
         def number(name: str) -> Tensor:
@@ -73,13 +77,13 @@ class Chains:
         )
 
     def single(self, index: int) -> Chain:
-        """The chain at a flat index."""
+        """Return the chain at a flat index."""
         count = self.reference.shape[-2]
         numbers = self.numbers.detach().reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
 
     def unbalanced(self, at: Motion, load: Tensor, held: tuple[bool, bool]) -> Tensor:
-        """(...) N: absolute values of what is out of balance on elements and bone, added up."""
+        """Return the sum of the absolute unbalanced forces (...) on elements and bone, N."""
         flat = _flat(at, load)
         sums = []
         for k in range(self.shape.numel()):
@@ -90,12 +94,12 @@ class Chains:
 
 
 def _state(place: Tensor, bone: Tensor, rubbed: Tensor, step: float = _FIRST_STEP) -> State:
-    """Of one chain, at rest until it is moved on."""
+    """Return the state of one chain, without velocity."""
     return State(place.detach().numpy(), bone.detach().numpy(), rubbed.detach().numpy(), step=step)
 
 
 def stiffness_of(numbers: Tensor, name: str) -> Tensor:
-    """One of `NUMBERS` (...) of parameter sets (..., 10)."""
+    """Return one of `NUMBERS` (...) from parameter sets (..., 10)."""
     return numbers[..., NUMBERS.index(name)]
 
 
@@ -109,7 +113,7 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Goes on for ``duration`` s under loads (..., 2, 2), first and last by x and z, or until ``rest`` N is reached."""
+    """Advance by ``duration`` s under loads (..., 2, 2), first and last by x and z, or until balance to ``rest`` N."""
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape)
     wanted = chains.numbers.requires_grad or coefficient.requires_grad or start.place.requires_grad
     if torch.is_grad_enabled() and wanted:
@@ -135,7 +139,7 @@ def _advanced(
     rest: Tensor,
     record_steps: int,
 ) -> tuple[Tensor, ...]:
-    """Place, bone, friction, next step, time gone, steps, and the record as `kernels.press_skin` has it."""
+    """Return position, bone, friction, next step, elapsed time, steps, and the record as in `kernels.press_skin`."""
     count, batch = chains.reference.shape[-2], chains.shape.numel()
     place, bone, rubbed, force = (part.detach().clone() for part in _flat(start, loads.flatten(-2)))
     step = start.step.reshape(batch).clone()
@@ -172,7 +176,7 @@ def _advanced(
 
 
 def _complain(time: Tensor, step: Tensor, steps: Tensor, counts: Tensor, duration: float) -> None:
-    """As `advance` does."""
+    """Raise RuntimeError for a chain that did not reach the end, as `advance` does."""
     lost = (step < 1e-13) | (counts[:, :2].sum(-1) >= MOST_STEPS)
     if bool(lost.any()):
         k = int(lost.nonzero()[0])
@@ -183,7 +187,7 @@ def _complain(time: Tensor, step: Tensor, steps: Tensor, counts: Tensor, duratio
 
 
 def _flat(at: Motion, load: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Place (B, N, 2), bone (B, 2), friction (B, N) and load (B, ...)."""
+    """Return position (B, N, 2), bone (B, 2), friction (B, N) and load (B, ...)."""
     count = at.place.shape[-2]
     return (
         at.place.reshape(-1, count, 2).contiguous(),
@@ -194,7 +198,10 @@ def _flat(at: Motion, load: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 class _Moved(torch.autograd.Function):
-    """The adjoint goes back over the steps that were kept: a first way counts them, a second one writes them down."""
+    """Differentiable `moved`: its adjoint goes back over recorded steps.
+
+    One forward run counts the steps, a second one records them.
+    """
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:

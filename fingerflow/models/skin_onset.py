@@ -1,8 +1,8 @@
-"""What a camera under the glass sees of a pressed skin chain: displacement and divergence since each point's contact.
+"""A pressed skin chain as a camera under the glass measures it: displacement and divergence since each point's contact.
 
-A recording knows skin from its first contact on, so displacement counts from there: u = x(t) - xi, with xi the place
-where the edge of the contact passed the point. With the chain as the section of a finger of revolution the divergence
-is du/dxi + u/xi. `Press.divergence` counts from the undeformed chain and is no number that a camera could find.
+A recording shows skin only from its first contact, so displacement counts from there: u = x(t) - xi, with xi the
+position where the contact edge passed the point. With the chain as the section of a finger of revolution the divergence
+is du/dxi + u/xi. `PressedChain.divergence` counts from the undeformed chain, which a camera cannot measure.
 """
 
 from dataclasses import dataclass
@@ -12,24 +12,24 @@ from torch import Tensor
 
 from fingerflow.models.skin_chain import PressedChain, weighted_median
 
-_SYMMETRY = 1e-6  # of the radius of the contact, by which a press of its own symmetry may miss it
+_SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as rounding
 
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """T times of chains (...), at elements from the axis outward (M); lengths in m, NaN outside of the contact."""
+    """A press at T times of chains (...), at M elements from the axis outward; lengths in m, NaN without contact."""
 
     radius: Tensor  # (T, ..., M) distance from the axis now
     displacement: Tensor  # (T, ..., M) outward since the onset
-    divergence_field: Tensor  # (T, ..., M) without unit
-    area_median: Tensor  # (T, ...) half of the contact's area lies below: what a median over a picture gives
-    line_median: Tensor  # (T, ...) half of the contact's radius lies below
+    divergence_field: Tensor  # (T, ..., M) dimensionless
+    area_median: Tensor  # (T, ...) divergence, median by contact area, as over the pixels of an image
+    line_median: Tensor  # (T, ...) divergence, median along the contact radius
     contact_area: Tensor  # (T, ...) m², of the disc
 
     def mean_within(self, share: float) -> Tensor:
-        """(T, ...) mean divergence by area over the disc of that share of the contact's radius; NaN without contact.
+        """Return the area-weighted mean divergence (T, ...) within that share of the contact radius; NaN if no contact.
 
-        What leaves a disc says how much spreads in it: unlike a median it asks little of the edge of the contact.
+        The mean is the flow out of the disc, so unlike a median it depends little on the edge of the contact.
         """
         edge = share * (self.contact_area / torch.pi).sqrt()[..., None]
         ring = torch.where(self.radius < edge, self.radius.clamp_min(0.0), 0.0)
@@ -37,13 +37,13 @@ class SinceOnset:
 
 
 def since_onset(press: PressedChain) -> SinceOnset:
-    """Of presses at T times, as `follow` gives them, fine enough that the edge of the contact moves evenly between two.
+    """Compute displacement and divergence since contact for presses at T times, as `follow` returns them.
 
-    A median by area is small: divergence falls from the middle outward and is negative at the edge, where most of the
-    area lies.
+    The times must be close enough that the contact edge moves evenly between two. A median by area is small: divergence
+    falls from the middle outward and is negative at the edge, where most of the area lies.
 
     Raises:
-        ValueError: times that are missing, or a press that is not mirrored about its axis, as under a tangential load.
+        ValueError: no time dimension, or a press that is not mirrored about its axis, as under a tangential load.
     """
     x, z = press.position.unbind(-1)
     if x.ndim < 2:
@@ -60,7 +60,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
     inside = height < 0
     first = inside.to(torch.uint8).argmax(0, keepdim=True)
     before = (first - 1).clamp_min(0)
-    # Between two times the height is taken as linear: contact itself, counted in elements, grows by jumps.
+    # The onset is interpolated from the height, linear between two times: contact counted in elements grows by jumps.
     later, earlier = height.gather(0, first), height.gather(0, before)
     falls = earlier > later
     share = torch.where(falls, later / torch.where(falls, later - earlier, 1.0), 0.0).clamp(0, 1)
@@ -87,7 +87,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
 
 
 def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
-    """Of odd values (..., M) from the axis outward, between both neighbours, at the edge of what is known from one."""
+    """Return the slope of odd values (..., M) from the axis outward, by central differences, one-sided at the edge."""
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
     place = torch.cat((-at[..., mirrored], at), -1)

@@ -1,4 +1,4 @@
-"""Parameters of the skin chain, in SI units, and the two sets that are in print and in the lab's code."""
+"""Parameters of the skin chain in SI units, with the sets of the paper and of the lab's code."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -11,7 +11,7 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Of one element of a chain of 501; every number may be a tensor of one shape, a chain for each entry."""
+    """Parameters of one element in a chain of 501; each may be a tensor, all of one shape, with one chain per entry."""
 
     radius: Number  # m, of the half-circle
     membrane_stiffness: Number  # N/m, k_m of the link between two neighbours
@@ -21,10 +21,10 @@ class SkinParameters:
     friction_stiffness: Number = 500.0  # N/m, sigma_0 of Dahl's model
     friction_exponent: Number = 0.7  # n of Dahl's model
     poisson_ratio: Number = 0.4  # of the tissue; the paper's, from its strain energy
-    width: Number = 8e-3  # m across the chain: from forces of elements to pressure
+    width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """The same skin cut into another number: what is in parallel shrinks with an element, a link grows stiffer."""
+        """Return the skin in ``count`` elements: parallel quantities scale with element length, links inversely."""
         finer = (count - 1) / 500
         return replace(
             self,
@@ -36,7 +36,7 @@ class SkinParameters:
         )
 
     def softer(self, times: float) -> "SkinParameters":
-        """The same skin with every stiffness of its own divided by a number, the plate's penalty too."""
+        """Return the same skin with membrane, tissue and plate stiffness divided by a number."""
         return replace(
             self,
             membrane_stiffness=self.membrane_stiffness / times,
@@ -46,9 +46,9 @@ class SkinParameters:
 
 
 def _lab() -> SkinParameters:
-    """The published script: radius 8 mm, E 1.54 MPa, a layer of 20 um, tissue of 25 kPa.
+    """Return the published script's parameters: radius 8 mm, E 1.54 MPa, a layer of 20 um, tissue of 25 kPa.
 
-    k_m = E d e / dL / 2 with d = 8 mm is 2.45 kN/m, the 2.5 kN/m in print; k_t = pi r E_t / 2 is 0.31 kN/m an element.
+    k_m = E d e / dL / 2 with d = 8 mm is 2.45 kN/m, printed as 2.5 kN/m; k_t = pi r E_t / 2 is 0.31 kN/m per element.
     """
     radius, spacing = 8e-3, math.pi * 8e-3 / 500
     tissue = math.pi * radius * 25e3 / 2
@@ -56,15 +56,19 @@ def _lab() -> SkinParameters:
 
 
 PARAMETERS = {
-    # In print as 2.5 and 0.13 "kNm": they are kN/m. The radius is that of "10 %" at 3 mm (equation 10); the plate is
-    # not in print and takes the lab's ratio.
+    # Printed as 2.5 and 0.13 "kNm", meaning kN/m. The radius follows from "10 %" at 3 mm (equation 10). The plate's
+    # stiffness is not printed and takes the lab's ratio.
     "paper": SkinParameters(10e-3, 2500.0, 130.0, 13000.0, width=10e-3),
     "lab": _lab(),
 }
 
 
 def named(parameters: "str | SkinParameters") -> SkinParameters:
-    """A set by its name, or itself; raises ValueError for another name or a number that cannot be."""
+    """Return a parameter set by its name, or the given set after checking it.
+
+    Raises:
+        ValueError: an unknown name, or a value out of range.
+    """
     if isinstance(parameters, str):
         if parameters not in PARAMETERS:
             raise ValueError(

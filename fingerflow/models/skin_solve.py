@@ -1,7 +1,7 @@
-"""The linear system of an implicit step: an arrow, solved by one banded sweep and a 2 x 2 Schur complement.
+"""Linear system of an implicit step: an arrow matrix, solved by one banded solve and a 2 x 2 Schur complement.
 
-Element i meets its neighbours in 2 x 2 blocks, and the bone, whose two rows and columns are dense. Dahl's force is a
-function of the slide and is no unknown: a third row for it would only be eliminated again.
+Each element couples to its neighbours in 2 x 2 blocks and to the bone, whose two rows and columns are dense. Dahl's
+force is a function of the slide and no unknown: a third row for it would only be eliminated again.
 """
 
 import numpy as np
@@ -12,10 +12,10 @@ from fingerflow.models.skin_forces import Array, Chain, Friction, Slopes
 
 
 class Arrow:
-    """damping I + c K of elements and bone; `solve` and, for derivatives, `solve_transposed`."""
+    """Matrix damping I + c K of elements and bone; `solve` and, for derivatives, `solve_transposed`."""
 
     def __init__(self, chain: Chain, slopes: Slopes, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
-        """``held`` (2,) bool: directions in which the bone's motion is given."""
+        """Assemble the matrix; ``held`` (2,) bool marks directions in which the bone's motion is prescribed."""
         count = len(chain.reference)
         blocks = c * slopes.tissue
         link = c * slopes.link
@@ -36,11 +36,11 @@ class Arrow:
         self.held = held
 
     def solve(self, elements: Array, bone: Array) -> tuple[Array, Array]:
-        """Of right-hand sides (N, 2) and (2,); that of a direction which is held is its motion."""
+        """Solve for right-hand sides (N, 2) and (2,); in a held direction the bone's right-hand side is its motion."""
         return self._swept(self.band, elements, bone)
 
     def solve_transposed(self, elements: Array, bone: Array) -> tuple[Array, Array]:
-        """Of the transposed system: only the plate's friction, which follows the pressure, is not symmetric."""
+        """Solve the transposed system; only the plate's friction, which depends on the pressure, is not symmetric."""
         transposed = np.zeros_like(self.band)
         for row in range(7):
             shift = row - 3
@@ -52,10 +52,10 @@ class Arrow:
         return self._swept(transposed, elements, bone)
 
     def times(self, elements: Array, bone: Array) -> tuple[Array, Array]:
-        """The matrix times (N, 2) and (2,), without what is held."""
+        """Return the matrix times (N, 2) and (2,), as if no direction were held."""
         flat, total = elements.reshape(-1), np.zeros(elements.size)
         for row in range(7):
-            shift = row - 3  # of the row below the column
+            shift = row - 3  # row index minus column index
             low, high = max(0, -shift), len(flat) - max(0, shift)
             total[low + shift : high + shift] += self.band[row, low:high] * flat[low:high]
         return (total + self.column @ bone).reshape(-1, 2), self.column.T @ flat + self.bone @ bone

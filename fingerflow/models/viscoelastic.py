@@ -1,9 +1,9 @@
-"""Strain of a solid that follows its stress with a delay: equation 12 of Willemet et al. 2021.
+"""Strain of a viscoelastic (Kelvin-Voigt) solid under stress: equation 12 of Willemet et al. 2021.
 
     eta de_y/dt + E e_y = sigma_y - nu sigma_z,   eta de_z/dt + E e_z = sigma_z - nu sigma_y
 
-E / eta = 100 1/s is the rate of this: a time constant of 10 ms, and a corner of 100 / (2 pi) = 15.9 Hz, where the text
-has 100 Hz. The Poisson ratio of this equation is not in print; 0.4 is the paper's, from its strain energy.
+The rate is E / eta = 100 1/s: a time constant of 10 ms and a corner frequency of 100 / (2 pi) = 15.9 Hz, where the text
+states 100 Hz. This equation's Poisson ratio is not printed; 0.4 is the paper's value, from its strain energy.
 """
 
 import math
@@ -12,11 +12,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-RECEPTOR_DEPTHS_M = (1.2e-3, 2e-3)  # where the paper has its mechanoreceptors
+RECEPTOR_DEPTHS_M = (1.2e-3, 2e-3)  # depths of the paper's mechanoreceptors
 
 
 class Strain(NamedTuple):
-    """Without unit, extension positive."""
+    """Strain, dimensionless, extension positive."""
 
     along_y: Tensor
     along_z: Tensor
@@ -31,15 +31,15 @@ def viscoelastic_strain(
     rate: Tensor | float = 100.0,
     poisson_ratio: Tensor | float = 0.4,
 ) -> Strain:
-    """Strain (T, ...) under stresses (T, ...) that are linear between the times (T,): exact for these, at any step.
+    """Compute the strain (T, ...) under stresses (T, ...) linear between the times (T,): exact for these, at any step.
 
-    The solid is at rest before the first time, whatever the stress is then.
+    The strain is 0 at the first time, whatever the stress is then.
 
     Args:
-        sigma_y, sigma_z: Pa, tension positive, as `half_space.stress` has them, time in the first dimension.
+        sigma_y, sigma_z: Pa, tension positive, as returned by `half_space.stress`, time in the first dimension.
         time: s, rising.
-        young_modulus: E in Pa, positive; with ``rate`` E / eta in 1/s, positive, and ``poisson_ratio`` nu a number or
-            what broadcasts with the stress of one time.
+        young_modulus: E in Pa, positive. Like ``rate``, E / eta in 1/s, positive, and ``poisson_ratio``, nu, it is a
+            number or a tensor that broadcasts with the stress at one time.
 
     Raises:
         ValueError: stresses of another shape, times that do not rise, a modulus or a rate that is not positive.
@@ -55,7 +55,7 @@ def viscoelastic_strain(
         if not bool((torch.as_tensor(value) > 0).all()):
             raise ValueError(f"{name} {torch.as_tensor(value).min().item()} {unit}: give a positive one")
     across = torch.stack((sigma_y - poisson_ratio * sigma_z, sigma_z - poisson_ratio * sigma_y), 1)
-    elastic = across.double() / young_modulus  # the strain that each stress would end at
+    elastic = across.double() / young_modulus  # the equilibrium strain of each stress
     rates = torch.as_tensor(rate, dtype=torch.float64)
     delays = rates * time.double().diff().reshape(-1, *[1] * max(rates.ndim, elastic.ndim - 2))
     early, late = (share[:, None] for share in _shares(delays))
@@ -69,9 +69,9 @@ def viscoelastic_strain(
 
 
 def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
-    """Of x = rate times step: how much of the stress at the step's beginning and at its end the strain takes over.
+    """Return the weights of the equilibrium strain at a step's beginning and at its end, for x = rate times step.
 
-    (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
+    They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
     """
     small = delay < 0.5
     large, reduced = torch.where(small, 1.0, delay), torch.where(small, delay, 0.0)
@@ -81,7 +81,7 @@ def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _late(x: Tensor) -> Tensor:
-    """(x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
+    """Return (x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
     total = torch.zeros_like(x)
     for k in range(14, 0, -1):
         total = x * (1 / math.factorial(k + 1) - total)

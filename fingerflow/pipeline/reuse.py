@@ -18,8 +18,8 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.plan import Plan
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Stage
-from fingerflow.pipeline.stages.trial.inputs import Inputs
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.identity import identity_of

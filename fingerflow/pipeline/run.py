@@ -22,8 +22,8 @@ from fingerflow.engines.together import Steps, run_alone, run_together
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, Plan, plan
 from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
-from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs, read_frames
+from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.atomic_write import keep_others, spare, written_atomically
 from fingerflow.results.deviations import stated, withhold
@@ -222,7 +222,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
     wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
-    trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
+    trial = RunContext(inputs, store, wanted.stages, wanted.asked, stages)
     said: dict[str, str] = {}
     with ExitStack() as held:
         # Forces alone are computed without reading a frame, so the recording needs no identity.
@@ -270,7 +270,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
     )
 
 
-def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way: _Way) -> Steps[None]:
+def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _Way) -> Steps[None]:
     """Run one pass over the frames: begin the stages, step them batch by batch, and finish them."""
     for stage in stages:
         with _timed(seconds, stage.name):
@@ -284,7 +284,7 @@ def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way:
             stage.derive()
 
 
-def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way: _Way) -> Steps[None]:
+def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _Way) -> Steps[None]:
     pictures = any(stage.reads_frames for stage in stages)
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):

@@ -10,7 +10,7 @@ from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.scene import ViewRange
-from fingerflow.player.sources import open_recording
+from fingerflow.player.sources import open_source
 
 _STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's
 
@@ -20,7 +20,7 @@ def mean_view(path: Path, view: ViewRange, bundle: Bundle, shape: tuple[int, int
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """
-    source = open_recording(path, shape, dtype)
+    source = open_source(path, shape, dtype)
     total, count = np.zeros(view.shape), 0
     try:
         while count < _STILLS and (frame := source.read()) is not None:

@@ -14,7 +14,7 @@ from fingerflow.player.background import mean_view
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.live import Expected
 from fingerflow.player.scene import StreamScene, check_scene, load_scene
-from fingerflow.player.sources import open_recording
+from fingerflow.player.sources import open_source
 from fingerflow.player.sources.camera import open_camera
 from fingerflow.player.sources.source import OpenSource
 from fingerflow.player.sources.synthetic import Synthetic, side_by_side
@@ -85,6 +85,6 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         first, forces_in = scene.first_frame, path if scene.has_forces else None
         frames = None if scene.last_frame is None else scene.last_frame + 1 - first
     return Played(
-        *(scene, str(file), lambda number: open_recording(file, shape, options.dtype, number), glass, dark),
+        *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
         *(first, frames, None, forces_in),
     )

@@ -1,4 +1,4 @@
-"""What results are drawn against: time, or a force that rises or falls all the time."""
+"""Horizontal axis of curves: time, or a force that only rises or only falls."""
 
 from dataclasses import dataclass
 
@@ -15,16 +15,16 @@ NAMES = {
     "tangential_force": "tangential force",
     "load_ratio": "tangential over normal force, T/N",
 }
-_LEAST_CHANGE = 0.1  # of its largest value, below which a force is constant
-_ABOVE_NOISE = 10.0  # standard deviations of a sample that a force varies by at least
-_LARGEST_RETURN = 0.03  # of its range, by which a force that rises may fall in between
-_SMOOTHED = 5  # samples, against single outliers
+_LEAST_CHANGE = 0.1  # share of its largest value: a force that changes less is constant
+_ABOVE_NOISE = 10.0  # standard deviations of a sample: a force that changes less is constant
+_LARGEST_RETURN = 0.03  # share of its range by which a rising force may fall in between
+_SMOOTHED = 5  # samples of a median filter against single outliers
 _MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)
 class Abscissa:
-    """Values (F,) of the horizontal axis, the variable that they are, and what is written at the axis."""
+    """Horizontal axis: name of its variable, values (F,) and label."""
 
     name: str
     values: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Abscissa:
 
 
 def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
-    """The horizontal axis of curves.
+    """Return the horizontal axis of curves.
 
     Args:
         result: a data set with `time`.
@@ -40,7 +40,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
             rises or only falls, else time.
 
     Raises:
-        FingerflowError: the result has no such variable, or it has no one value a frame.
+        FingerflowError: the result has no such variable with one value a frame.
     """
     name = against or ("normal_force" if varies(result, "normal_force") and is_monotonic(result) else "time")
     if name not in result or result[name].dims != ("frame",):
@@ -54,7 +54,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
 
 
 def varies(result: xr.Dataset, force: str) -> bool:
-    """Whether a force is known and changes by more than its noise and a tenth of its largest value."""
+    """Return whether a force is known and changes by more than a tenth of its largest value and ten times its noise."""
     if force not in result:
         return False
     known = _smoothed(result, force)
@@ -65,7 +65,7 @@ def varies(result: xr.Dataset, force: str) -> bool:
 
 
 def is_monotonic(result: xr.Dataset, force: str = "normal_force") -> bool:
-    """Whether a force that varies only rises, or only falls, but for 3 % of its range and its noise."""
+    """Return whether a varying force only rises or only falls, apart from 3 % of its range or three times its noise."""
     known = _smoothed(result, force)
     least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, force))
     falls = float((np.maximum.accumulate(known) - known).max())
@@ -80,7 +80,7 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Standard deviation of a sample, from second differences: what a steady rise leaves out."""
+    """Return the standard deviation of a sample, from second differences, which a steady rise does not affect."""
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

@@ -1,4 +1,4 @@
-"""Curves of a result: areas, deformation, energy, forces, quality, each drawn into one axes."""
+"""Curves of a result, each drawn into one axes: areas, deformation, energy, forces, quality."""
 
 from collections.abc import Sequence
 
@@ -14,22 +14,22 @@ from fingerflow.plot.wording import followed
 
 Values = NDArray[np.float64]
 _MICRO = 1000.0  # mm to µm, and 1 to µm/mm
-_FEW = 60  # frames, of which each is a dot
+_FEW = 60  # frames: fewer are drawn as dots
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Gross and real contact area (mm²).
+    """Draw the gross and real contact area (mm²).
 
     Args:
-        result: what `fingerflow.process` gave, or a result that was opened.
-        axes: to draw into; None for those of a new figure.
-        against: the variable of the horizontal axis; None for the normal force where it only rises or falls, else time.
+        result: returned by `fingerflow.process`, or a result that was opened.
+        axes: axes to draw into; None for a new figure.
+        against: variable of the horizontal axis; None for the normal force where it only rises or falls, else time.
 
     Returns:
-        The axes; save its figure by ``axes.figure.savefig("area.pdf")``.
+        The axes; save the figure by ``axes.figure.savefig("area.pdf")``.
 
     Raises:
-        FingerflowError: the result lacks what is drawn.
+        FingerflowError: the result lacks a variable that is drawn.
     """
     need(result, "gross_contact_area")
     curves = [("gross", result["gross_contact_area"].values, None)]
@@ -42,7 +42,7 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Semi-axes (mm) of the ellipse of the gross contact; arguments as of `contact_area`."""
+    """Draw the semi-axes (mm) of the ellipse of the gross contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
     values = result["ellipse_semi_axes"].values
     curves = [("semi-major", values[:, 0], None), ("semi-minor", values[:, 1], None)]
@@ -52,9 +52,9 @@ def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Median divergence and curl (µm/mm) over the gross contact, with bands of two standard deviations.
+    """Draw the median divergence and curl (µm/mm) over the gross contact, with bands of two standard deviations.
 
-    Arguments as of `contact_area`.
+    Arguments as for `contact_area`.
     """
     need(result, "median_divergence")
     curves = [
@@ -66,7 +66,7 @@ def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Median strain components (µm/mm) over the gross contact; arguments as of `contact_area`."""
+    """Draw the median strain components (µm/mm) over the gross contact; arguments as for `contact_area`."""
     need(result, "median_strain")
     values = _MICRO * result["median_strain"].values
     spread = _std(result, "median_strain", _MICRO)
@@ -77,9 +77,10 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Length of the median displacement of the points (µm); of a soft sensor, by x and y, of the markers in contact.
+    """Draw the length of the median displacement of the points (µm).
 
-    Arguments as of `contact_area`.
+    For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
+    `contact_area`.
     """
     if "contact_displacement" in result:
         values = _MICRO * result["contact_displacement"].values
@@ -93,14 +94,14 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Strain energy (mJ) with a band of two standard deviations; arguments as of `contact_area`."""
+    """Draw the strain energy (mJ) with a band of two standard deviations; arguments as for `contact_area`."""
     need(result, "strain_energy")
     curves = [("strain energy", result["strain_energy"].values, _std(result, "strain_energy", 1.0))]
     return _draw(result, axes, against, curves, "strain energy (mJ)", "Strain energy")
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Normal and tangential force (N), by default against time; arguments as of `contact_area`."""
+    """Draw normal and tangential force (N), by default against time; arguments as for `contact_area`."""
     names = [name for name in ("normal_force", "tangential_force") if name in result]
     if not names:
         need(result, "normal_force")
@@ -109,15 +110,15 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Tangential over normal force, by default against time; arguments as of `contact_area`."""
+    """Draw the tangential over the normal force, by default against time; arguments as for `contact_area`."""
     need(result, "load_ratio")
     return _draw(result, axes, against, [("T/N", result["load_ratio"].values, None)], "T/N", "Load ratio")
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Share of a soft sensor's markers in contact that has slipped, by default against time, gross slip marked.
+    """Draw the share of a soft sensor's markers in contact that have slipped, with gross slip marked.
 
-    Arguments as of `contact_area`.
+    By default against time; arguments as for `contact_area`.
     """
     need(result, "slip_ratio", "gross_slip")
     x = abscissa(result, against)
@@ -130,7 +131,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Share of the points that are tracked (%), by default against time; arguments as of `contact_area`."""
+    """Draw the share of points that are tracked (%), by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
     name, curves = followed(result), [("tracked", 100 * result["tracked_share"].values, None)]
     drawn = _draw(result, axes, against, curves, f"{name} (%)", f"{name.capitalize()} tracked")
@@ -139,9 +140,9 @@ def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Median distance (px) after tracking forward and back, by default against time; arguments as of `contact_area`.
+    """Draw the median forward-backward distance (px), by default against time; arguments as for `contact_area`.
 
-    The frame in which points are chosen is compared with itself, so that it has none and is left out.
+    The frame in which points are seeded is compared with itself and left out.
     """
     need(result, "forward_backward_median")
     values = result["forward_backward_median"].values
@@ -152,9 +153,9 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Standard deviation of a point's position (px): the median and the 0.9 quantile of the points.
+    """Draw the standard deviation of a position (px): median and 0.9 quantile over the points.
 
-    By default against time; the frame in which points are chosen, where all are 0, is left out. Arguments as of
+    By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.
     """
     need(result, "position_std_px")
@@ -171,7 +172,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Raises FingerflowError for what a result lacks."""
+    """Raise FingerflowError if a result lacks any of these variables."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -190,13 +191,13 @@ def _draw(
     label: str,
     title: str,
 ) -> Axes:
-    """Curves by name, with their standard deviation where it is known."""
+    """Draw curves (name, values, standard deviation or None) with bands of BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread), colour in zip(curves, (INK, RED, YELLOW, GREEN, GREY), strict=False):
         known = np.isfinite(values) & np.isfinite(x.values)
         beside = np.pad(known, 1)
-        alone = known & ~beside[:-2] & ~beside[2:]  # a line does not show these
+        alone = known & ~beside[:-2] & ~beside[2:]  # frames without known neighbours, which a line does not show
         axes.plot(x.values, values, ".-" if known.sum() < _FEW else "-", color=colour, label=name)
         if alone.any():
             axes.plot(x.values[alone], values[alone], ".", color=colour, label="_alone")
@@ -214,7 +215,7 @@ def _draw(
 
 
 def _whole(x: Values) -> tuple[float, float]:
-    """Limits that show every frame, also those without a value."""
+    """Return limits that show every frame, even those without a value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

@@ -1,4 +1,4 @@
-"""Maps of a frame: what the skin, or the gel, does at each place of the glass."""
+"""Maps of one frame: a quantity of the skin, or of the gel, at each position on the glass."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,16 +16,21 @@ from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 
 Values = NDArray[np.float64]
-_SHOWN = 0.98  # of the values that a colour scale holds,
-_OF_MEDIAN = 3.0  # but no more than this times their median: torn triangles may be more than 2 %
-_ARROWS = 220  # that are drawn at most
+_SHOWN = 0.98  # quantile of the values that limits a colour scale,
+_OF_MEDIAN = 3.0  # at most this times their median, as torn triangles may be more than 2 %
+_ARROWS = 220  # most arrows drawn
 _DIRECTIONS = 260
 _MARGIN_MM = 0.3
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a map shows: the variables that it needs, its unit, and its values of a frame, of points or of triangles."""
+    """Quantity of a map: title, unit, variables that it needs, and a function from a frame to its values.
+
+    Attributes:
+    of_triangles: values are those of triangles, else of points.
+    signed: the colour scale is symmetric about 0.
+    """
 
     title: str
     unit: str
@@ -40,16 +45,16 @@ def _component(k: int) -> Callable[[xr.Dataset], Values]:
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Principal strains (M, 2), the major one first, and the direction (M,) of the major one from x towards y, rad.
+    """Return principal strains (M, 2), major first, and the direction (M,) of the major one from x towards y (rad).
 
-    The eigenvalues and -vectors of the symmetric [[exx, exy], [exy, eyy]] of one frame: Mohr's circle.
+    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
     """
     exx, eyy, exy = frame["strain"].values.astype(np.float64).T
     middle, radius = (exx + eyy) / 2, np.hypot((exx - eyy) / 2, exy)
     return np.stack((middle + radius, middle - radius), 1), np.arctan2(2 * exy, exx - eyy) / 2
 
 
-#: What `field_map` draws, by name.
+#: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
     "divergence": Quantity(
         "Divergence", "µm/mm", ("divergence",), lambda frame: 1000 * frame["divergence"].values, False, True
@@ -86,25 +91,25 @@ QUANTITIES: dict[str, Quantity] = {
 def field_map(
     result: xr.Dataset, quantity: str, frame: int, axes: Axes | None = None, limit: float | None = None
 ) -> Axes:
-    """A map of one frame on the glass (mm, y down), coloured by a quantity, with the outline of the contact.
+    """Draw a map of one frame on the glass (mm, y down), coloured by a quantity, with the outline of the contact.
 
-    Divergence, curl and displacement are those of the points, each triangle in the mean of its corners; the others are
-    those of the triangles. The map of displacement has arrows, in the length that the title says, and the principal
-    strains lines in their direction.
+    Divergence, curl and displacement are quantities of the points: a triangle has the mean of its corners. The others
+    are quantities of the triangles. The map of displacement has arrows, magnified as its title states; maps of
+    principal strain have lines along its direction.
 
     Args:
-        result: what `fingerflow.process` gave, or a result that was opened.
+        result: returned by `fingerflow.process`, or a result that was opened.
         quantity: a name in `QUANTITIES`.
-        frame: its place in the result, from 0.
-        axes: to draw into; None for those of a new figure.
-        limit: of the colours, in the unit of the map; None for the 0.98 quantile of this frame. Give the same for maps
-            that are to be compared: `colour_limit`.
+        frame: index of the frame in the result, from 0.
+        axes: axes to draw into; None for a new figure.
+        limit: of the colours, in the unit of the map; None for that of this frame (`colour_limit`). Give the same
+        limit to maps that are compared.
 
     Returns:
-        The axes. Where nothing is known they say so.
+        The axes, with a note if nothing is known in this frame.
 
     Raises:
-        FingerflowError: no such quantity or frame, or the result lacks what it needs.
+        FingerflowError: no such quantity or frame, or the result lacks a variable that the quantity needs.
     """
     chosen = _needed(result, quantity)
     if not 0 <= frame < result.sizes["frame"]:
@@ -112,7 +117,7 @@ def field_map(
     axes = given_or_new(axes, 4.6, 3.5)
     one = result.isel(frame=frame)
     axes.set(title=chosen.title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    axes.set_axisbelow(True)  # the grid beside the colours, not over them
+    axes.set_axisbelow(True)  # draws the grid below the colours
     outline = contact_outline(one)
     if outline is not None:
         axes.plot(*np.append(outline, outline[:1], 0).T, "--", color=INK, linewidth=1, label="_contact")
@@ -126,7 +131,7 @@ def field_map(
     shown = whole & np.isfinite(by_triangle)
     dots = np.isfinite(values) & np.isfinite(position).all(1) if not chosen.of_triangles else np.zeros(0, dtype=bool)
     if shown.any():
-        # A triangle is drawn where all of its corners are; the others keep a place that is never shown.
+        # A triangle is drawn only if all its corners are known: unknown positions become 0 and are never shown.
         filled = np.nan_to_num(position)
         mesh = Triangulation(filled[:, 0], filled[:, 1], corners[shown])
         colours = axes.tripcolor(mesh, facecolors=by_triangle[shown], **scale)
@@ -138,7 +143,7 @@ def field_map(
         axes.text(0.5, 0.5, "not known in this frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         _frame(axes, outline)
         return finished(axes)
-    colours.set_rasterized(True)  # thousands of triangles are small as pixels alone
+    colours.set_rasterized(True)  # thousands of triangles make a small file only as pixels
     if quantity == "displacement":
         _arrows(axes, one, chosen.title)
     elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
@@ -153,8 +158,10 @@ def field_map(
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """The limit of colours, in the unit of the map: the largest over these frames of the 0.98 quantile of the values,
-    or of three times their median where that is less; 1 where all are 0.
+    """Return the limit of the colour scale, in the unit of the map.
+
+    It is the largest over these frames of the 0.98 quantile of |values|, at most three times their median; 1 if all
+    are 0.
     """
     chosen = _needed(result, quantity)
     largest = 0.0
@@ -168,7 +175,7 @@ def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> fl
 
 
 def drawable(result: xr.Dataset) -> list[str]:
-    """Names of `QUANTITIES` that a result has what it takes for."""
+    """Return the names in `QUANTITIES` whose variables a result has."""
     return [name for name, one in QUANTITIES.items() if _has(result, one)]
 
 
@@ -195,7 +202,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
     if long <= 0:
         return
     width = float(np.ptp(position[known], axis=0).max()) or 1.0
-    scale = float(f"{width / 8 / long:.1g}")  # one digit, so that the long arrows are an eighth of the width
+    scale = float(f"{width / 8 / long:.1g}")  # one digit; the 0.95 quantile becomes an eighth of the width
     axes.quiver(
         *position[known].T, *(scale * moved[known]).T, angles="xy", scale_units="xy", scale=1,
         color="white", edgecolor=INK, linewidth=0.3, width=0.006,
@@ -206,7 +213,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Lines of one length, in the middles of some triangles, in the direction of a principal strain."""
+    """Draw lines of equal length along a principal strain, at the centres of some triangles."""
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
@@ -218,7 +225,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Indices of at most so many places, the one nearest to the middle of each cell of a grid of squares."""
+    """Return indices of about `most` places: in each square cell of a grid the one nearest to its middle."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
@@ -231,7 +238,7 @@ def _spread(places: Values, most: int) -> NDArray[np.intp]:
 
 
 def _frame(axes: Axes, places: Values | None) -> None:
-    """Limits around places, y down the frame."""
+    """Set limits around places, with y down."""
     if places is not None:
         low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))

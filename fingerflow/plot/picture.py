@@ -1,4 +1,4 @@
-"""The picture of a frame with what was found in it: mask of the contact, ellipse, points, a scale bar."""
+"""Picture of a frame with its results: mask of the real contact, ellipse, points, scale bar."""
 
 import json
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph, LightGraph
-from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs
+from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.plot.wording import followed
@@ -24,30 +24,30 @@ from fingerflow.schema.scene import Scene
 Values = NDArray[np.float64]
 MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"
 _BAR_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-_BAR_SHARE = 0.25  # of the width that a scale bar takes at most
-_MASK_SHARE = 0.45  # of the colour in a pixel that touches
-_CONTRAST = (0.5, 99.8)  # percentiles of the grey levels that are black and white
+_BAR_SHARE = 0.25  # largest share of the width that a scale bar takes
+_MASK_SHARE = 0.45  # share of the colour in a pixel in contact
+_CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Names of the views of a scene, each picture once."""
+    """Return the names of a scene's views, each picture once."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
 
 
 def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
-    """A view of a frame, with the micro-junctions, the ellipse of the gross contact, the points and a scale bar.
+    """Draw a view of a frame with micro-junctions, the ellipse of the gross contact, points and a scale bar.
 
     Args:
-        result: what `fingerflow.process` gave for this scene.
+        result: returned by `fingerflow.process` for this scene.
         scene: the scene, whose recording is read.
-        frame: its place in the result, from 0.
-        axes: to draw into; None for those of a new figure.
-        view: "contact", "topography" or "camera"; None for the one in which contact is seen.
+        frame: index of the frame in the result, from 0.
+        axes: axes to draw into; None for a new figure.
+        view: "contact", "topography" or "camera"; None for the view that shows the contact.
 
     Returns:
-        The axes, in px of the view. Their title has frame, time and force.
+        The axes, in px of the view. The title has frame, time and force.
 
     Raises:
         FingerflowError: no such frame or view, or the recording cannot be read.
@@ -99,7 +99,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def said(frame: xr.Dataset) -> str:
-    """Frame, time and force in words."""
+    """Return frame, time and force as text."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")
@@ -107,9 +107,9 @@ def said(frame: xr.Dataset) -> str:
 
 
 def real_contact(result: xr.Dataset, scene: Scene, frame: int) -> NDArray[np.bool_] | None:
-    """(H, W) which pixels of the contact view touch, found again by the threshold that the result states.
+    """Return the real-contact mask (H, W) of the contact view, recomputed with the threshold in the result.
 
-    None where there is no threshold, and of a soft sensor, which shows no micro-junctions.
+    Return None without a threshold or an empty-glass background, and for a soft sensor, which has no micro-junctions.
     """
     inputs = open_inputs(scene, "cpu")
     with inputs.recording:
@@ -133,8 +133,8 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    """Raises FingerflowError where a result is that of another recording than the scene's."""
-    known = result.attrs.get("recording")  # results of older versions do not say
+    """Raise FingerflowError if a result was computed from another recording than the scene's."""
+    known = result.attrs.get("recording")  # missing in results of older versions
     settings = scene.recording
     end = len(recording) if settings.last_frame is None else settings.last_frame + 1
     found = identity_of(recording[settings.first_frame : end])
@@ -156,7 +156,7 @@ def _outlines(axes: Axes, frame: xr.Dataset, pixels: Callable[[Values], Values])
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, pixels: Callable[[Values], Values], name: str) -> None:
-    """Points where they are, and where those began that are lost."""
+    """Draw the current positions of points, and the first positions of lost ones."""
     if "position" not in result:
         return
     now = result["position"].values[frame]
@@ -175,7 +175,7 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, pixels: Callable[[Values
 
 
 def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
-    """The longest round length that takes no more than a quarter of the width, written below its line."""
+    """Draw a scale bar of the longest round length up to a quarter of the width, labelled above."""
     fitting = [length for length in _BAR_MM if length / mm_per_px <= _BAR_SHARE * width]
     length = fitting[-1] if fitting else _BAR_MM[0]
     right, y = 0.96 * width, 0.95 * height

@@ -1,4 +1,4 @@
-"""Figures, the self-contained page and the video of a processed scene."""
+"""Report of a processed scene: figures, a self-contained page and a video."""
 
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.page import write_report

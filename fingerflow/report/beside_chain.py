@@ -1,4 +1,4 @@
-"""A measured press beside the skin chain under the same force: contact area and divergence against normal force."""
+"""Comparison of a measured press with the skin chain under the same force: contact area and divergence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,17 +17,20 @@ from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 
 Values = NDArray[np.float64]
-INNER = 0.6  # of the radius of the contact, in which divergence depends little on where the edge is found
+INNER = 0.6  # share of the contact's radius; divergence within depends little on the detected edge
 NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_divergence")
-_LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the distance of ridges
-_FITTED = 10  # forces to which the stiffness is fitted
-_ELEMENTS = 1001  # twice the paper's: 501 ask for 2 % more stiffness for the same area, 251 for 5 %
+_LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the spacing of ridges
+_FITTED = 10  # number of forces to which the stiffness is fitted
+_ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larger for the same area, with 251 5 %
 _COLOURS = (RED, GREEN, YELLOW, GREY)
 
 
 @dataclass(frozen=True)
 class BesideChain:
-    """T frames with a known force; predictions (K, T) of K frictions; mm² and um/mm, NaN where there is no contact."""
+    """Measured press and skin chain: T frames with a known force, predictions (K, T) for K frictions.
+
+    Areas are in mm², divergences in um/mm; NaN without contact.
+    """
 
     force: Values  # N
     area: Values
@@ -41,7 +44,7 @@ class BesideChain:
     parameters: str
 
     def notes(self) -> list[str]:
-        """What was assumed, and what was fitted."""
+        """Return sentences on what was assumed and what was fitted."""
         assert self.fit.tissue_interval is not None
         low, high = self.fit.tissue_interval
         given = PARAMETERS[self.parameters]
@@ -59,11 +62,11 @@ class BesideChain:
 
 
 def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
-    """Chains at several frictions under the force of a trial, their tissue's stiffness fitted to its contact area.
+    """Press chains at several frictions with the force of a trial, their tissue stiffness fitted to its contact area.
 
     Raises:
-        FingerflowError: a friction below 0 or none, unknown parameters, results that lack what is compared, or a force
-            that does not press.
+        FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a
+        force that does not press.
     """
     if not friction or not all(0 <= one < np.inf for one in friction):
         raise FingerflowError(f"--friction {', '.join(map(str, friction))}: give one or more coefficients, 0 or more")
@@ -110,7 +113,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
 
 
 def inner_divergence(result: xr.Dataset) -> Values:
-    """Mean divergence (frames,) of the points within 0.6 of the contact's radius, um/mm; NaN without such points."""
+    """Return the mean divergence (frames,) of points within 0.6 of the contact's radius, um/mm; NaN without points."""
     found = np.full(result.sizes["frame"], np.nan)
     if "divergence" not in result or "position" not in result:
         return found
@@ -125,7 +128,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
 
 
 def draw(beside: BesideChain) -> Figure:
-    """Area, median divergence and that of the inner contact against force, measured and of the chain."""
+    """Draw area, median divergence and inner mean divergence against force, measured and of the chain."""
     figure = Figure(figsize=(10, 3.9), layout="constrained")
     panels = (
         ("gross contact area (mm²)", beside.area, beside.chain_area),
@@ -143,7 +146,7 @@ def draw(beside: BesideChain) -> Figure:
 
 
 def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:
-    """The tissue's stiffness from areas at even forces on the way to the largest one."""
+    """Fit the tissue stiffness to areas at evenly spaced forces up to the largest one."""
     top = int(np.flatnonzero(large)[np.argmax(force[large])])
     rising = large & (np.arange(len(force)) <= top) & (force > 0.02 * force[top])
     at = np.unique(np.searchsorted(np.maximum.accumulate(np.where(rising, force, 0.0)),

@@ -1,4 +1,4 @@
-"""What somebody must know before a number of a result is used, in plain words."""
+"""Cautions: what limits the use of a result, in sentences for the report."""
 
 import json
 
@@ -7,13 +7,13 @@ import xarray as xr
 
 from fingerflow.plot.wording import followed, is_sensor
 
-_MOST_LOST = 0.2  # of the points, above which what is known is of a selection
-_LARGE_STRAIN = 0.5  # of a triangle, above which skin is torn or its points come from different onsets
-_LARGE_SHARE = 0.02  # of the triangles that may be beyond
+_MOST_LOST = 0.2  # share of the points: above it, results describe a selection
+_LARGE_STRAIN = 0.5  # of a triangle: above it, points are wrong or have different onsets of contact
+_LARGE_SHARE = 0.02  # share of the triangles that may exceed it
 
 
 def cautions(result: xr.Dataset) -> list[str]:
-    """The warnings of the run, and what the results show: frames left out, points lost, strain beyond skin."""
+    """Return the warnings of the run and cautions from its results: omitted frames, lost points, implausible strain."""
     warnings = json.loads(result.attrs.get("warnings", "[]"))
     return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
 
@@ -63,8 +63,11 @@ def _of_points(result: xr.Dataset) -> list[str]:
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
-    """Triangles whose points first touched at different times of a slide measure the slide, not the skin."""
-    if "strain" not in result or not result["strain"].size or is_sensor(result):  # a gel may well be
+    """Return a caution if too many strains exceed those of skin.
+
+    Triangles whose points first touched at different times of a slide measure the slide, not the skin.
+    """
+    if "strain" not in result or not result["strain"].size or is_sensor(result):  # a gel may strain that much
         return []
     largest = np.abs(result["strain"].values).max(-1)
     known = np.isfinite(largest).sum(1)
@@ -86,7 +89,7 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
 
 def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Why points have no position in the last frame that is usable, and how many; the most frequent first."""
+    """Return reasons why points have no position in the last usable frame, with counts, the most frequent first."""
     if "status" not in result or not result["status"].size:
         return []
     status = result["status"]

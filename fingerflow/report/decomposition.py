@@ -1,4 +1,4 @@
-"""Figure S6 of Willemet et al. 2021: a displacement field as a constant, a divergence, a curl and two shears."""
+"""Figure S6 of Willemet et al. 2021: a displacement field decomposed into constant, divergence, curl and two shears."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Of P points: `parts` by the names of PARTS, mm, which but for the first add up to the first; NaN where not known.
+    """Decomposition of the displacement of P points into `parts`, named by PARTS; NaN where unknown.
 
-    With the divergence d, the curl c (rad) and the shears s, t the gradient of all but the rest is
-    [[d + s, t - c], [t + c, d - s]] / 2, without unit.
+    All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
+    all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
     """
 
     points: Values  # (P, 2) mm
@@ -31,14 +31,14 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """The least squares' linear field about the centre of the points, cut into its parts, and what it leaves.
+    """Decompose the least-squares linear field about the centre of the points into its parts, and the rest.
 
     Args:
-        points: (P, 2) mm, x and y, of the reference.
-        displacement: (P, 2) mm; a point that is not known in either is left out of the fit.
+        points: (P, 2) mm, reference positions x and y.
+        displacement: (P, 2) mm; points with NaN in either are left out of the fit.
 
     Raises:
-        ValueError: shapes that are not (P, 2), or known points on a line or fewer than three.
+        ValueError: shapes other than (P, 2), fewer than three known points, or known points on a line.
     """
     places, moved = np.asarray(points, dtype=np.float64), np.asarray(displacement, dtype=np.float64)
     if places.shape != moved.shape or places.ndim != 2 or places.shape[1] != 2:
@@ -65,7 +65,7 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
 
 
 def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
-    """Figure S6: arrows of the field and of each of its parts, axes in the order of PARTS, all drawn with one scale."""
+    """Draw figure S6: arrows of the field and of each part in the order of PARTS, all at one scale."""
     x_shear, diagonal_shear = (1e3 * value for value in found.shear)
     amounts = {
         "field": "",
@@ -101,7 +101,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Factor of one digit that makes the field's long arrows a sixth of its width."""
+    """Return the factor, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

@@ -1,4 +1,4 @@
-"""Figure S4 of Willemet et al. 2021: a half-sphere of skin laid flat, its arc, its contact and what that leaves."""
+"""Figure S4 of Willemet et al. 2021: a half-sphere of skin pressed flat, its arc, its contact and its compression."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ DEEPEST_MM = 4.0
 
 
 def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) -> Axes:
-    """Figure S4 A: the fingertip pressed by ``delta`` into the glass, the arc 2 L and the contact 2 a; mm."""
+    """Draw figure S4 A: the fingertip pressed by ``delta`` into the glass, the arc 2 L and the contact 2 a (mm)."""
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY, linewidth=1)
     axes.axhline(0, color=INK, linewidth=1)
@@ -31,7 +31,7 @@ def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) 
 
 
 def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Figure S4 B: L and a (mm) against the normal indentation (mm)."""
+    """Draw figure S4 B: L and a (mm) against the normal indentation (mm)."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, arc_length(delta, radius), color=RED, label="L, arc of the skin")
     axes.plot(delta, contact_radius(delta, radius), color=INK, label="a, contact")
@@ -40,7 +40,7 @@ def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST
 
 
 def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Figure S4 C: compression of skin that sticks (%) against the indentation (mm), that at 3 mm marked."""
+    """Draw figure S4 C: compression of sticking skin (%) against the indentation (mm), with 3 mm marked."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
     at_three = 100 * float(radial_strain(3.0, radius))

@@ -1,4 +1,4 @@
-"""A matplotlib figure as SVG inside a page, and the curves in it as numbers for the page to read out."""
+"""Inline SVG of a matplotlib figure for a page, and its curves as numbers for the page's cursor."""
 
 import base64
 import io
@@ -15,29 +15,29 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 _NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
-_RASTER_DPI = 170  # of the maps within
-_WIDER = 1.5  # than in print, that a figure is shown at most
+_RASTER_DPI = 170  # of rasterized maps
+_WIDER = 1.5  # largest magnification of a figure over its printed size
 _DIGITS = 5
 _PAD = 0.06  # inches around the labels
-_BAR, _BAR_HEIGHT = 0.025, 0.8  # width of a colour bar, of the figure; and its height, of the axes
-FONT = "DejaVu Sans"  #: that comes with matplotlib: one, as each of a list is looked for at each text
-_LARGE, _QUALITY = 100_000, 88  # bytes of a picture, and of JPEG
+_BAR, _BAR_HEIGHT = 0.025, 0.8  # width of a colour bar as a share of the figure, its height of the axes
+FONT = "DejaVu Sans"  #: comes with matplotlib; a single one, as each font of a list is searched for at each text
+_LARGE, _QUALITY = 100_000, 88  # bytes above which a picture becomes JPEG; JPEG quality
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 _OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
 _UNIT = re.compile(r"\(([^()]*)\)$")
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """The element <svg> of a figure, as wide as its place; its text is text.
+    """Return a figure as an <svg> element that fills the width of its container; text stays text.
 
     Args:
-        figure: to draw.
-        name: of its own in the page: what is referred to within the figure is named by it.
-        label: what it shows, for those who do not see it.
+        figure: figure to draw.
+        name: unique in the page; ids within the figure are derived from it.
+        label: text alternative (aria-label).
     """
     layout = figure.get_layout_engine()
     if layout is not None:
-        # Once, and not again when matplotlib draws a figure whose layout may still change.
+        # Run the layout once, instead of each time matplotlib draws.
         if not _laid_out(figure):
             layout.execute(figure)
         figure.set_layout_engine("none")
@@ -51,7 +51,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     head, _, rest = text.partition(">")
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
-    # The same element twice in a page would share an id: only those that are referred to keep theirs.
+    # Ids must be unique in a page: only those that are referred to are kept.
     rest = _PNG.sub(_smaller, rest)
     rest = rest.replace(f"'{FONT}'", f"'{FONT}', sans-serif")
     rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))
@@ -60,14 +60,14 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
 
 
 def _laid_out(figure: Figure) -> bool:
-    """Puts the axes, and a colour bar on its right, where their labels have room; False for any other figure.
+    """Place one axes, with an optional colour bar on its right, so that labels fit; return False for other figures.
 
     Labels are measured once. Constrained layout measures them four times, which takes as long as drawing the figure.
     """
     axes, *bars = figure.axes
     if len(bars) > 1:
         return False
-    axes.set_title(axes.get_title(), y=1.0)  # else matplotlib looks, whenever it draws, for ticks to be avoided
+    axes.set_title(axes.get_title(), y=1.0)  # otherwise matplotlib avoids ticks at every draw
     renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     width, height = figure.bbox.width, figure.bbox.height
     around = []
@@ -92,7 +92,7 @@ def _laid_out(figure: Figure) -> bool:
 
 
 def _smaller(found: re.Match[str]) -> str:
-    """A large picture without transparency, as a camera's, as JPEG: a fifth of its size."""
+    """Return a large opaque picture as JPEG, a fifth of its size; others unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -102,10 +102,10 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """What the page reads out at the cursor: curves of `count` frames, and where in the figure they stand.
+    """Return the named curves of `count` frames for the page's cursor, and their box in the figure.
 
-    Of axes that `inline_svg` has drawn, so that their layout is known. None where they have no such curve. ``box`` is
-    left, top, width and height as shares of the figure.
+    The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
+    ``box`` is left, top, width and height as shares of the figure.
     """
     named = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
     lines = [line for line in named if len(np.asarray(line.get_xdata())) == count]
@@ -132,5 +132,5 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
 
 
 def _short(value: float) -> float | None:
-    """Five digits; None, which JSON has, for what is not known."""
+    """Return a value to five digits, or None (JSON null) if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""The numbers of a trial that are looked for first, at its telling frames, with their uncertainty."""
+"""Key numbers of a trial: main quantities at its key frames, with their uncertainty."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from fingerflow.report.telling_frames import Telling
 
-_WINDOW = 11  # frames to which a parabola is fitted
-_DEGREES = 3  # of freedom that it takes
+_WINDOW = 11  # frames of the parabola fit
+_DEGREES = 3  # degrees of freedom of a parabola
 
 
 @dataclass(frozen=True)
 class Line:
-    """A quantity at each frame as text, with its unit; NaN is an en dash."""
+    """Row of the table: a quantity with its unit, and its value at each key frame as text; NaN is an en dash."""
 
     name: str
     unit: str
@@ -23,10 +23,10 @@ class Line:
 
 
 def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
-    """Forces, areas, divergence, curl, displacement and energy at these frames, each ± one standard deviation.
+    """Return forces, areas, divergence, curl, displacement and energy at these frames, ± one standard deviation.
 
-    Of divergence and curl that is `MedianBias` beside the errors of the points, of energy `border_energy`. Of
-    areas it is the scatter from frame to frame, see `scatter`.
+    The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
+    energy `border_energy`. For areas it is the scatter from frame to frame (`scatter`).
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
@@ -60,9 +60,9 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Standard deviation (F,) of a value from a parabola through the 11 frames around it; NaN where fewer are known.
+    """Return the standard deviation (F,) from a parabola fitted to the 11 frames around; NaN if any is unknown.
 
-    It says how well a frame repeats its neighbours, not how far all of them are off together.
+    It measures how well a frame repeats its neighbours, not an error that they have in common.
     """
     found = np.full(len(values), np.nan)
     if len(values) < _WINDOW:
@@ -73,13 +73,13 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
     rest = np.sqrt(((windows @ left.T) ** 2).sum(1) / (_WINDOW - _DEGREES))
     half = _WINDOW // 2
     found[half : len(values) - half] = rest
-    # The windows at the ends are those of the frames beside them.
+    # Frames at the ends have the values of the first and last windows.
     found[:half], found[len(values) - half :] = rest[0], rest[-1]
     return found
 
 
 def with_uncertainty(value: float, spread: float) -> str:
-    """A value with the digits that its standard deviation leaves it, two of that: 33.41 ± 0.52; three digits without.
+    """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
 
     >>> with_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'

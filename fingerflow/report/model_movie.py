@@ -1,4 +1,4 @@
-"""Movie M3 of Willemet et al. 2021: how the chain of skin deforms while it is pressed, at a low and a high friction."""
+"""Movie M3 of Willemet et al. 2021: deformation of the pressed skin chain at a low and a high friction."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,13 +16,13 @@ from fingerflow.report.video import encode_video
 from fingerflow.results.atomic_write import write_atomically
 
 _INCHES, _DPI = (10.0, 5.4), 96
-_WIDE_MM = 9.0  # of the finger that is shown, from its middle
-_LARGEST_MM = 1e-3  # of the scale of colours at least
-_HELD = 20  # frames in which the last picture stays
+_WIDE_MM = 9.0  # shown half width of the finger
+_LARGEST_MM = 1e-3  # least limit of the colour scale
+_HELD = 20  # frames for which the last picture is repeated
 
 
 def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
-    """Writes an MP4, a picture a time of the presses; raises FingerflowError where it cannot be written."""
+    """Write an MP4 with one picture for each time of the presses; raise FingerflowError if it cannot be written."""
     write_atomically(path, lambda part: encode_video(_with_progress(presses, progress), part))
     return path
 
@@ -38,7 +38,7 @@ def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArra
 
 
 def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
-    """RGB pictures (H, W, 3), one a time: the skin, coloured by its displacement along the plate, over its loads."""
+    """Yield RGB pictures (H, W, 3), one a time: skin coloured by displacement along the plate, above its loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
@@ -73,7 +73,7 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
             skin, bone = skins[column]
             skin.set_segments(list(np.stack((place[:-1], place[1:]), 1)))
             skin.set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
-            # The middle of the undeformed half-circle, moved along with the bone.
+            # The centre of the undeformed half-circle, displaced with the bone.
             radius = float(1e3 * (chain.position - chain.displacement)[frame, k, 0, 1])
             at = 1e3 * chain.bone[frame, k].numpy()
             bone.set_data([at[0]], [at[1] + radius])
@@ -82,4 +82,4 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
         heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")
         canvas.draw()  # type: ignore[no-untyped-call]
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
-        figure.set_layout_engine("none")  # found once: it takes ten times as long as drawing
+        figure.set_layout_engine("none")  # laid out once, as this takes ten times as long as drawing

@@ -1,4 +1,4 @@
-"""The figures S11 to S13 of Willemet et al. 2021, each drawn into given axes: ideal observer, groups, curl."""
+"""Figures S11 to S13 of Willemet et al. 2021, drawn into given axes: ideal observer, groups, curl."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,7 +18,7 @@ from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, finished
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
-    """Figure S11 A: trials a bin of the normalised metric, correct and incorrect, with the Gaussians fitted to them."""
+    """Draw figure S11 A: histograms of the normalised metric of correct and incorrect trials, with fitted Gaussians."""
     axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials")
     if not observer.bins.size:
         axes.set_title(observer.reason, fontsize="small", wrap=True)
@@ -38,7 +38,7 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
 
 
 def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
-    """Figure S11 B: hits against false alarms as the criterion sweeps the metric."""
+    """Draw figure S11 B: hits against false alarms as the criterion sweeps the metric (ROC)."""
     axes.plot([0, 1], [0, 1], "--", color=GREY, linewidth=0.8)
     colours = colormaps["viridis"](np.linspace(0, 0.9, max(len(observers), 1)))
     for (name, observer), colour in zip(observers.items(), colours, strict=False):
@@ -50,7 +50,7 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
-    """The table of figure S11 C with its uncertainty: an estimate a metric, its interval and number of trials."""
+    """Draw the table of figure S11 C: the estimate of each metric with its interval and number of trials."""
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
@@ -63,7 +63,7 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
 
 
 def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
-    """Figure S12 A: the participants' values, the mixture of two groups and the border between them."""
+    """Draw figure S12 A: histogram of the participants' values, the mixture of two groups and their border."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
@@ -81,11 +81,11 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
 def draw_psychometric(
     axes: Axes, curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, PsychometricFit]], stimulus: str
 ) -> Axes:
-    """Figures S12 B and C: share of answers a stimulus with the fitted curve, one a group, threshold and interval.
+    """Draw figures S12 B and C: share of answers by stimulus, and the fitted curve and threshold interval of each group.
 
     Args:
-        curves: by name of the group (stimulus, answers, trials, fit), as given to `fit_psychometric`.
-        stimulus: its name and unit.
+        curves: (stimulus, answers, trials, fit) by name of the group, as passed to `fit_psychometric`.
+        stimulus: name and unit of the stimulus.
     """
     for (name, (where, answers, trials, fit)), colour in zip(curves.items(), (INK, RED, GREEN, GREY), strict=False):
         x, share = np.asarray(where, dtype=float), np.asarray(answers, dtype=float) / np.asarray(trials, dtype=float)
@@ -100,7 +100,7 @@ def draw_psychometric(
 
 
 def draw_median_curl(axes: Axes, force: Sequence[ArrayLike], curl: Sequence[ArrayLike]) -> Axes:
-    """Figure S13 B: median curl (1) over the contact against the normal force (N), a line a trial."""
+    """Draw figure S13 B: median curl (1) over the contact against the normal force (N), one line a trial."""
     for newtons, values in zip(force, curl, strict=True):
         axes.plot(newtons, 1000 * np.asarray(values, dtype=float), color=INK, alpha=0.5, linewidth=0.9)
     axes.set(xlabel="normal force (N)", ylabel="median curl (µm/mm)")
@@ -110,7 +110,7 @@ def draw_median_curl(axes: Axes, force: Sequence[ArrayLike], curl: Sequence[Arra
 def draw_curl_against_divergence(
     axes: Axes, divergence: ArrayLike, curl: ArrayLike, participant: ArrayLike, correlation: Correlation
 ) -> Axes:
-    """Figure S13 C: median curl against median divergence (1) of each trial, a colour a participant."""
+    """Draw figure S13 C: median curl against median divergence (1) of each trial, one colour a participant."""
     x, y, who = 1000 * np.asarray(divergence, float), 1000 * np.asarray(curl, float), np.asarray(participant)
     names = np.unique(who)
     for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):

@@ -10,9 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import check_file, reading
 from fingerflow.recordings.guard.hdf5 import open_hdf5
-from fingerflow.recordings.guard.walker import check_by_walking
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
 
@@ -56,7 +56,7 @@ def is_result(path: Path) -> bool:
 def open_result(path: Path) -> xr.Dataset:
     """Open a file as :func:`load_result`, but read values on access; close it when done."""
     check_file(path)
-    check_by_walking(path, "hdf5")
+    check_in_child_process(path, "hdf5")
     return open_own(path)
 
 

@@ -4,8 +4,8 @@ import struct
 
 MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
 MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
-# Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes); codecs of pictures stay
-# below it.
+# Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes). Codecs of pictures
+# stay below it.
 MOST_COMPRESSED = 1032
 _ALWAYS = 1 << 20  # pixels
 _PNG = b"\x89PNG\r\n\x1a\n"

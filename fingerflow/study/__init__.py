@@ -1,1 +1,1 @@
-"""Many recordings: manifest, run on Dask, table of trials, averaged curves, statistics and an index page."""
+"""Studies of many recordings: manifest, runs on Dask, table of trials, averaged curves, statistics and an index page."""

@@ -1,4 +1,4 @@
-"""Tasks of a study on Dask: a few in flight, whatever happens to workers and scheduler."""
+"""Execution of a study's tasks on Dask: few in flight, robust against the loss of workers or scheduler."""
 
 import logging
 import os
@@ -15,11 +15,11 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 
-_IN_FLIGHT = 3  # tasks a worker: one that runs, others that wait beside it
-_RENEWED_AFTER = 200  # tasks a worker, after which all are replaced by fresh ones: whatever leaks goes with them
+_IN_FLIGHT = 3  # tasks per worker: one that runs, the others queued
+_RENEWED_AFTER = 200  # tasks per worker, after which all workers are replaced: leaked memory is then released
 _ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 _CONNECT = "20s"  # to reach a scheduler
-_LOOK = 5.0  # s between two looks how many workers there are
+_LOOK = 5.0  # s between two counts of the workers
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
 Task = TypeVar("Task")
@@ -27,11 +27,11 @@ Result = TypeVar("Result")
 
 
 class Interrupted(Exception):
-    """Ctrl-C, or the scheduler was lost; the message says so, and what to do."""
+    """Raised after Ctrl-C or the loss of the scheduler; the message says which, and what to do."""
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -45,23 +45,23 @@ def over_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Results of tasks, as they come.
+    """Yield the results of tasks as they complete.
 
     Args:
-        act: what a worker does; a function of a module.
-        tasks: by their names, no two alike; taken when there is room for one.
-        count: of the trials, by default one a task.
-        of_error: what stands for a task that has raised, or whose workers were killed again and again.
+        act: function of a module that a worker runs.
+        tasks: (name, task) with unique names; consumed as capacity becomes free.
+        count: number of trials, by default one per task.
+        of_error: returns the result for a task that has raised, or whose workers were killed repeatedly.
         scheduler, workers: as in `run_study`.
-        progress: show a bar with the time that is left.
-        trials_of: how many trials a result is of.
+        progress: show a bar with the remaining time.
+        trials_of: returns the number of trials in a result.
 
     Raises:
-        FingerflowError: the cluster cannot be had.
+        FingerflowError: the cluster is not available.
         Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
     """
     many = workers_for(count, workers)
-    # A local cluster is replaced after so many tasks, when nothing is in flight; another has rules of its own.
+    # A local cluster is replaced after so many tasks, when none is in flight; other clusters follow their own rules.
     each_round = _RENEWED_AFTER * many if scheduler is None else None
     waiting = iter(tasks)
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
@@ -74,12 +74,12 @@ def over_workers(
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """As many as are asked for, or as there are cores; not more than tasks."""
+    """Return the number of workers: as requested, else one per core; not more than tasks."""
     return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Threads that a worker computes with: the cores of this computer are shared out, a cluster's workers have one."""
+    """Return the threads per worker: this computer's cores are divided among its workers, a cluster's workers have one."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -94,7 +94,7 @@ def _go_through(
     names: dict[str, str] = {}
 
     def submit(name: str, task: Task) -> Any:
-        # All of one group: a scheduler never forgets the statistics that it keeps of each group's name.
+        # One group name for all tasks: a scheduler never discards the statistics of a group.
         future = client.submit(act, task, key=f"trial-{os.getpid()}-{name}", pure=False)
         names[future.key] = name
         return future
@@ -117,16 +117,16 @@ def _go_through(
     except (Interrupted, FingerflowError):
         raise
     except Exception as error:
-        # What a client raises whose scheduler does not come back depends on what it was about to do.
+        # After the loss of the scheduler a client raises different errors, depending on its current operation.
         if isinstance(error, (OSError, TimeoutError)) or client.status != "running":
             raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
         raise
 
 
 class _Workers:
-    """How many the workers of a cluster are, which come and go.
+    """Number of a cluster's workers, which may change during a run.
 
-    A cluster whose workers have not come yet, or are gone, may get some: it is waited for, and that is said.
+    A cluster without workers may still get some: the run then waits, with a warning.
     """
 
     def __init__(self, client: Any) -> None:
@@ -141,7 +141,7 @@ class _Workers:
         self._ended.set()
 
     def room(self) -> int:
-        """Tasks that may be in flight."""
+        """Return the number of tasks that may be in flight."""
         return max(2, _IN_FLIGHT * self._threads)
 
     def _look(self) -> None:
@@ -150,7 +150,7 @@ class _Workers:
             try:
                 self._threads = sum(self._client.nthreads().values())
                 place = self._client.scheduler.address
-            except Exception:  # the scheduler is lost, which is said elsewhere
+            except Exception:  # the scheduler is lost, which is reported elsewhere
                 return
             if not self._threads and not said:
                 tqdm.write(
@@ -162,9 +162,9 @@ class _Workers:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> Iterator[Any]:
-    """A client of a cluster; both are closed behind it, a scheduler that was there before is left alone.
+    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped.
 
-    `loads` is the module that a worker of this computer has loaded when it starts.
+    `loads` is the module that a worker on this computer has imported at its start.
     """
     try:
         import dask
@@ -178,10 +178,10 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
         f"distributed.nanny.pre-spawn-environ.{name}": threads
         for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     }
-    # Threads of OpenMP spin between operations unless told to sleep: two of them on a busy machine take four times the
-    # processor, and three times as long.
+    # OpenMP threads spin between operations by default: two of them on a busy machine take four times the processor
+    # time and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
-    # Client and workers look at themselves up to 50 times a second: with two workers 9 % of a core, so less than 2 %.
+    # Client and workers monitor themselves up to 50 times a second: 9 % of a core with two workers, here below 2 %.
     environment |= {
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.tick.cycle": "2s",
@@ -190,8 +190,8 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
     }
     if scheduler is None and sys.platform == "linux":  # on other systems a process that has loaded torch may not fork
         environment["distributed.worker.multiprocessing-method"] = "forkserver"
-    # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
-    # Its logs of messages and transitions are for those who mend Dask: 16 MB of the client and its scheduler.
+    # A worker's profiler keeps a call tree for every second of the last hour: 0.4 MB per small recording.
+    # Logs of messages and transitions serve Dask's developers: 16 MB in the client and its scheduler.
     own = {
         "distributed.comm.retry.count": 3,
         "distributed.worker.profile.enabled": False,
@@ -207,7 +207,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                     _load_once(loads)
                     cluster = LocalCluster(
                         n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
-                        # Of no fixed port, which Dask would warn of where another study has it.
+                        # No fixed port: Dask would warn if another study used it.
                         dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
                     )  # fmt: skip
                 else:
@@ -230,7 +230,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
 
 
 def _load_once(module: str) -> None:
-    """Lets workers be forked from one process that has loaded this module: each by itself loads it for seconds."""
+    """Fork workers from one process that has imported this module, instead of importing it for seconds in each worker."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
@@ -251,7 +251,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 @contextmanager
 def _interrupt_once() -> Iterator[None]:
-    """SIGTERM ends a run as Ctrl-C does."""
+    """Make SIGTERM end a run as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

@@ -1,14 +1,14 @@
-"""The columns of the table of trials: name, unit and definition of each, as `variables.csv` beside the table has them.
+"""Columns of the table of trials: name, unit and definition of each, as written to `variables.csv` beside the table.
 
-A metric is named as in `fingerflow.report.trial_metrics`; without a suffix it is the one that figures show, and with
-`_at_1n`, `_at_onset` and so on the same at that moment. `_std` is its standard deviation.
+A metric is named as in `fingerflow.report.trial_metrics`. Without a suffix it is the value shown in figures; with
+`_at_1n`, `_at_onset` and so on it is the value at that moment. `_std` is its standard deviation.
 """
 
 from collections.abc import Iterator
 
 from fingerflow.schema.variables import Variable
 
-#: Moments of a trial, and what they are.
+#: Moments of a trial and their definitions.
 FORCES_N = (1.0, 2.0, 3.0)
 AT_ONSET, AT_MAX = "at_onset", "at_max"
 MOMENTS = {
@@ -19,8 +19,8 @@ MOMENTS = {
 _TRIAL = ("trial",)
 _LARGEST = "the largest of the trial"
 
-#: What is taken at every moment: name, unit, what it is, whether it has a standard deviation, and what the column
-#: without a suffix is: the value at the maximum, or the largest one of the trial.
+#: Quantities at every moment: name, unit, definition, whether it has a standard deviation, and whether the column
+#: without a suffix is the largest value of the trial (True) or the value at the maximum (False).
 AT_MOMENTS: tuple[tuple[str, str, str, bool, bool], ...] = (
     ("real_contact_area", "mm2", "real contact area", False, False),
     ("gross_contact_area", "mm2", "gross contact area", False, False),
@@ -48,7 +48,7 @@ _OF_TRIAL = (
     ("longest_axis_ratio", "1", "major over minor axis of the gross contact at its maximum: near 1 the directions "
      "along and across are chance"),
 )  # fmt: skip
-#: By the table alone: each area over the median of its participant.
+#: Added when the table is written: each area over the median of its participant.
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
@@ -70,9 +70,9 @@ def _all() -> Iterator[Variable]:
         yield Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
 
 
-#: Numbers that a trial is measured by.
+#: Numeric columns of a trial.
 NUMBERS: dict[str, Variable] = {variable.name: variable for variable in _all()}
-#: What else the table says of a trial.
+#: Other columns of a trial.
 FACTS: dict[str, Variable] = {
     name: Variable(name, _TRIAL, "1", said)
     for name, said in {

@@ -1,4 +1,4 @@
-"""The figures of a study: those of the paper's supplement that its table gives, and curves against force."""
+"""Figures of a study: those of the paper's supplement that its table supports, and curves against force."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,8 +15,8 @@ from fingerflow.report.trial_metrics import AMPLITUDE, METRICS, finished_beside
 from fingerflow.study.statistics import Sample
 
 _FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
-_SIMULATED = ("(skin chain)", "(simulated press)")  # panels that say nothing of the study
-# Panels against answers, which a study without answers does not have; None for the whole figure.
+_SIMULATED = ("(skin chain)", "(simulated press)")  # panels that do not depend on the study
+# Panels against answers, omitted in a study without answers; None for the whole figure.
 _OF_ANSWERS: dict[str, str | None] = {"S5": "EFGI", "S7": "CDE", "S8": "HI", "S9": "E", "S11": None, "S12": None}
 # Panels that the paper draws against force: the averaged curves, by figure and letter.
 _CURVES = {
@@ -25,20 +25,20 @@ _CURVES = {
     "S9": (("B", "strain_energy"),),
     "S13": (("B", "curl"),),
 }
-_AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which takes them at 3 N
-_MOST_NAMED = 12  # conditions in a legend
+_AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which shows them at 3 N
+_MOST_NAMED = 12  # most conditions in a legend
 
 
 def write_figures(frame: Any, sample: Sample, curves: Any, folder: Path) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Writes a PNG a figure into a folder; returns name, file (empty where there is none) and what was left out.
+    """Write one PNG per figure into a folder; return name, file ("" if not drawn) and what was left out of each.
 
     Args:
         frame: the table of trials.
         sample: of it.
         curves: the table of averaged curves.
-        folder: is made where there is none.
+        folder: created if missing.
 
-    Raises FingerflowError where a file cannot be written.
+    Raises FingerflowError if a file cannot be written.
     """
     written = []
     for name in _FIGURES:
@@ -69,11 +69,11 @@ def write_figures(frame: Any, sample: Sample, curves: Any, folder: Path) -> list
 
 
 def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
-    """A metric against normal force, a line a condition, its 95 % band by participants."""
+    """Draw a metric against normal force, one line per condition, with its 95 % band by participants."""
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
     shown = METRICS[metric]
-    # An interval of two participants is many times as wide as anything there is to see.
+    # The range of the axis follows the means: an interval of two participants is many times wider.
     means = shown.factor * own["mean"]
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
     for condition, colour in zip(conditions, colormaps["viridis"](np.linspace(0, 0.9, len(conditions))), strict=True):
@@ -98,6 +98,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Whether a sentence on what a figure lacks is of panels that curves stand in for."""
+    """Return True if a sentence about missing panels refers only to panels that curves replace."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -1,4 +1,4 @@
-"""What a study keeps of a trial: a folder with its result and `row.json`, which appear whole or not at all."""
+"""Files of a trial in a study: a folder with its result and `row.json`, written atomically."""
 
 import json
 from collections.abc import Mapping
@@ -11,24 +11,24 @@ from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.study.keys import InputFile, Keys, look_at
 
-_DIGEST = "digest"  # of all else in `row.json`: a number that changed on the disk must not get into the table
+_DIGEST = "digest"  # of the rest of `row.json`: a number corrupted on disk must not get into the table
 MEASURED, FAILED = "measured", "failed"
 Part = Literal["everything", "changed", "row"]
 
 
 @dataclass(frozen=True)
 class TrialRow:
-    """What is known of a trial that was run.
+    """Stored record of a trial that was run.
 
     Attributes:
         status: "measured" or "failed".
-        reason: why there is no result, empty where there is one.
-        passing: whether the reason lies in disk, memory or the machine, and not in the trial.
-        keys: what it was made of; None where that could not be found out.
-        result: name of the file of the result in the same folder.
-        content: that file, as it was written.
+        reason: why there is no result, empty if there is one.
+        passing: True if the reason is transient: disk, memory or the machine, not the trial.
+        keys: of its inputs, settings and code; None if they could not be determined.
+        result: name of the result's file in the same folder.
+        content: size, time and digest of that file as written.
         row, curves: of `fingerflow.study.row.measure`.
-        made: when, where, by what versions, in which time.
+        made: when, where, by which versions, in what time.
     """
 
     status: str
@@ -43,12 +43,12 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """By what it is made of: two runs with other settings never write the same file."""
+    """Return the file name of a result, from its key: runs with different settings never write the same file."""
     return f"result-{keys.result}.h5"
 
 
 def has_result(folder: Path, trial: TrialRow) -> bool:
-    """Whether the result that a row speaks of is there, as it was written."""
+    """Return True if the result named by a row exists as it was written."""
     if trial.result is None or trial.content is None:
         return False
     try:
@@ -59,7 +59,7 @@ def has_result(folder: Path, trial: TrialRow) -> bool:
 
 
 def write_row(folder: Path, trial: TrialRow) -> None:
-    """Writes `row.json`, and removes results that it does not speak of."""
+    """Write `row.json`, and remove results that it does not name."""
     content = asdict(trial) | {"keys": trial.keys and trial.keys.as_json()}
     content = json.loads(json.dumps(content, allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
@@ -70,7 +70,7 @@ def write_row(folder: Path, trial: TrialRow) -> None:
 
 
 def read_row(folder: Path) -> TrialRow | None:
-    """None where nothing is known, as where `row.json` is not what was written: then the trial is run again."""
+    """Return the stored row; None if there is none or `row.json` is damaged: the trial is then run again."""
     try:
         found = json.loads((folder / "row.json").read_text(encoding="utf-8"))
         if found.pop(_DIGEST) != digest_of(found):

@@ -1,4 +1,4 @@
-"""`fingerflow study init`: a manifest from what a folder holds."""
+"""`fingerflow study init`: a manifest generated from the files in a folder."""
 
 import csv
 import io
@@ -20,7 +20,7 @@ from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RE
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
 _NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")
-# How labs write it in names of folders and files; what does not fit stays to be filled in.
+# Naming conventions of labs in folder and file names; values that do not match are left to be filled in.
 _GUESSES = {
     PARTICIPANT: re.compile(r"(?<![a-z])(?:participant|subject|subj|sub|s|p)[-_ ]?(\d+)(?!\d)"),
     CONDITION: re.compile(r"(\d+(?:[.,p]\d+)?)[-_ ]?(?:um|µm|micron)"),
@@ -29,7 +29,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """What was written: the manifest, its table, trials, and what is still to be filled in."""
+    """Files written by `init_study`: the manifest and its table; number of trials and what is still to be filled in."""
 
     manifest: Path
     table: Path
@@ -40,15 +40,15 @@ class FoundFiles(NamedTuple):
 def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     """Write `study.toml` and `trials.csv` into a folder of recordings.
 
-    Where there are scene files in it, each is a trial: what they share becomes the shared scene, what differs becomes
-    columns. Otherwise each recording is one, with the forces of the same name or of the same folder, and the shared
-    scene is to be filled in. Participant, condition (µm) and trial are taken from the names of folders and files.
+    If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
+    columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared
+    scene is to be filled in. Participant, condition (µm) and trial are taken from folder and file names.
 
     Args:
-        folder: is searched at any depth.
-        answers: a CSV file with participant, trial, answer and whatever else is known of trials, such as condition.
+        folder: searched recursively.
+        answers: a CSV file with participant, trial, answer and other columns of trials, such as condition.
 
-    Raises FingerflowError where there is nothing to be found, or a manifest already.
+    Raises FingerflowError if nothing is found, or a manifest exists already.
     """
     manifest, table = folder / "study.toml", folder / "trials.csv"
     for file in (manifest, table):
@@ -147,7 +147,7 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
 
 
 def _holds_frames(file: Path) -> bool:
-    """An HDF5 file may hold forces as well."""
+    """Return True if an HDF5 file holds frames; it may hold forces instead."""
     from fingerflow.recordings import open_recording
 
     try:
@@ -168,7 +168,7 @@ def _guessed(place: Path) -> dict[str, str]:
 
 
 def _flattened(written: Mapping[str, Any], place: str = "") -> Iterable[tuple[str, Any]]:
-    """Values by their dotted keys."""
+    """Yield values by their dotted keys."""
     for name, value in written.items():
         if isinstance(value, dict):
             yield from _flattened(value, f"{place}{name}.")
@@ -207,7 +207,7 @@ results = "results"           # where results, the table of trials and the pages
 
 
 def _under_scene(text: str) -> str:
-    """A scene file as tables below [scene]; what each trial has of its own is left out."""
+    """Return a scene file as tables below [scene], without the keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:
         if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):

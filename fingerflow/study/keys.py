@@ -1,7 +1,7 @@
-"""What a result was made of: files by their content, settings and code.
+"""Cache keys of a trial: digests of file contents, settings and code.
 
-`result` is what the whole result comes from, `row` what the row of the table comes from, the result among it. Which
-stages a changed setting touches, `fingerflow.pipeline.reuse` knows: a changed gauge length reads no picture.
+`result` is the key of the whole result; `row` is the key of the row in the table and includes `result`. Which stages
+depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed gauge length reads no image.
 """
 
 import json
@@ -19,21 +19,21 @@ from fingerflow.schema.scene import Scene
 
 _PARTS = ("result", "row")
 _ROW = ("row.py", "columns.py")  # beside this file
-_IN_TWO = (".mraw", ".cih", ".cihx")  # a recording in two files is both
-_WHOLE_BYTES = 16 << 20  # up to which a file is digested as a whole
-_SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger one, evenly over it
+_IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
+_WHOLE_BYTES = 16 << 20  # size up to which a file is digested as a whole
+_SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file or folder that a trial is made of.
+    """An input file or folder of a trial.
 
     Attributes:
         path: as it was found.
-        size: bytes, of a folder those of all its files.
-        modified: ns, of a folder the latest.
-        digest: of its bytes; of a file above 16 MB, of its size and 64 samples of 4 kB evenly over it. A change that
-            keeps the size and misses the samples is known by `modified` alone.
+        size: bytes; of a folder the sum over its files.
+        modified: ns; of a folder the latest.
+        digest: of its bytes; of a file above 16 MB, of its size and 64 evenly spaced samples of 4 kB. A change that
+            keeps the size and misses the samples is detected by `modified` alone.
     """
 
     path: str
@@ -43,39 +43,39 @@ class InputFile:
 
     @property
     def whole(self) -> bool:
-        """Whether the digest is of all bytes."""
+        """Return True if the digest covers all bytes."""
         return self.size <= _WHOLE_BYTES
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Digests; `inputs` by the key of the scene that names each."""
+    """Digests of result and row; `inputs` by the key of the scene that names each."""
 
     result: str
     row: str
     inputs: Mapping[str, InputFile]
 
     def as_json(self) -> dict[str, Any]:
-        """For the file of a row."""
+        """Return a dictionary for `row.json`."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Keys":
-        """From what `as_json` gave; raises KeyError or TypeError for something else."""
+        """Return the keys from the output of `as_json`; raises KeyError or TypeError for anything else."""
         inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
         return cls(found["result"], found["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
-        """Keys of the scene whose files are not certainly what they were."""
+        """Return the keys of the scene whose files are not certainly unchanged."""
         names = dict.fromkeys((*self.inputs, *now.inputs))
         both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
 
 
 def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
-    """The keys of a trial as it is now.
+    """Compute the keys of a trial in its current state.
 
-    A file that `earlier` knows with the same size and time of change is not read again.
+    A file that `earlier` lists with the same size and modification time is not read again.
 
     Raises FingerflowError for a file that cannot be read.
     """
@@ -92,7 +92,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """A file or folder as it is now; its digest is the earlier one where size and time have not changed."""
+    """Return the current state of a file or folder; the earlier digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -108,26 +108,26 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Whether a file is certainly what it was: a digest of samples counts only beside an unchanged time."""
+    """Return True if a file is certainly unchanged: a digest of samples counts only with an unchanged time."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 
 
 def all_codes() -> dict[str, str]:
-    """`code_of` by part."""
+    """Return `code_of` by part."""
     return {part: code_of(part) for part in _PARTS}
 
 
 @cache
 def code_of(part: str) -> str:
-    """The code behind a part, "result" or "row"."""
+    """Return the digest of the code behind a part, "result" or "row"."""
     if part == "result":
         return code_version()
     return digest_of(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _ROW))
 
 
 def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:
-    """Files among settings by their dotted keys."""
+    """Yield the files among settings by their dotted keys."""
     for name, value in values.items():
         if isinstance(value, dict):
             yield from _named(value, paths, f"{place}{name}.")
@@ -136,7 +136,7 @@ def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Itera
 
 
 def _without(value: Any, paths: set[str]) -> Any:
-    """Settings without the names of files, which count by their content."""
+    """Return settings without file names; files count by their content."""
     if isinstance(value, dict):
         kept = {name: one for name, one in value.items() if not (isinstance(one, str) and one in paths)}
         return {name: _without(one, paths) for name, one in kept.items()}
@@ -152,7 +152,7 @@ def _files_of(file: Path) -> list[Path]:
 
 
 def _content(file: Path, size: int) -> Iterator[bytes]:
-    """Name and size, then all bytes or samples."""
+    """Yield name and size, then all bytes or samples."""
     yield f"{file.name} {size} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:

@@ -1,4 +1,4 @@
-"""`study.toml`: the recordings of a study, a scene that they share, and what is known of each trial."""
+"""`study.toml`: the recordings of a study, their shared scene, and the data known about each trial."""
 
 import csv
 import difflib
@@ -15,7 +15,7 @@ from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.study.columns import OF_RESULTS
 
-#: Columns of a table of trials that the study itself reads; one with a dot is a key of the scene.
+#: Columns of a table of trials that the study reads; a column name with a dot is a key of the scene.
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
     "recording", "forces", "participant", "trial", "condition", "answer",
 )  # fmt: skip
@@ -24,7 +24,7 @@ _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _ANSWERS = {"1": True, "true": True, "0": False, "false": False}
 _NO_ANSWER = ("", "nan", "na")
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers")
-_MOST_SHOWN = 20  # wrong rows that are named; the others are counted
+_MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class TrialEntry:
     """One row of the manifest.
 
     Attributes:
-        name: of its folder among the results; no other trial of the study has it.
+        name: of its folder among the results, unique in the study.
         place: "trials.csv, row 7", for errors.
-        participant, trial, condition: as they stand there.
-        answer: whether the comparison was felt as more slippery, None where there is no answer.
-        others: columns that are neither of these nor keys of the scene; they stand in the table of trials too.
-        settings: tables and keys of the scene that differ from the shared one, the recording among them.
+        participant, trial, condition: as written in the row; an empty trial becomes the number of the row.
+        answer: True if the comparison was felt as more slippery, None without an answer.
+        others: columns that are neither of these nor keys of the scene; they are copied to the table of trials.
+        settings: tables and keys of the scene that differ from the shared one, including the recording.
     """
 
     name: str
@@ -52,7 +52,7 @@ class TrialEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A study; `shared` is its scene as TOML gives it, of which each trial may replace keys."""
+    """A study; `shared` is its scene as parsed from TOML, whose keys each trial may replace."""
 
     path: Path
     results: Path
@@ -60,12 +60,12 @@ class Manifest:
     trials: tuple[TrialEntry, ...]
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """The scene of a trial. Raises FingerflowError with the place of the row, key, value and remedy."""
+        """Return the scene of a trial; raises FingerflowError with the place of the row, key, value and remedy."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
     def by_name(self) -> dict[str, TrialEntry]:
-        """The trials by the names of their folders."""
+        """Return the trials by the names of their folders."""
         return {entry.name: entry for entry in self.trials}
 
 
@@ -85,8 +85,8 @@ def load_manifest(path: str | Path) -> Manifest:
 
     A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial.
 
-    Raises FingerflowError for a file that is missing or no TOML, an unknown key or column, a row that lacks something
-    or that is there twice; it names the row.
+    Raises FingerflowError for a file that is missing or not TOML, an unknown key or column, an incomplete row
+    or a duplicate one; the message names the row.
     """
     path = Path(path).resolve()
     if path.is_dir():
@@ -125,7 +125,7 @@ def load_manifest(path: str | Path) -> Manifest:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file by the names in its heading; raises FingerflowError for what is no table."""
+    """Return the rows of a CSV file as dictionaries by column name; raises FingerflowError if it is no table."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             heading, *rows = [row for row in csv.reader(file) if row] or [[]]
@@ -145,9 +145,9 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """For each row of trials what a table of answers says of it; both have participant and trial.
+    """Return for each row of trials its row in a table of answers, matched by participant and trial; {} without one.
 
-    Raises FingerflowError where the table lacks one of these columns, or says two things of a trial.
+    Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
     table = read_rows(answers)
     lacking = [name for name in (PARTICIPANT, TRIAL, ANSWER) if name not in table[0]]
@@ -169,7 +169,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """A row for every file that a pattern with names in braces fits, in order of the names."""
+    """Return a row for every file that matches a pattern with names in braces, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -263,7 +263,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Raises FingerflowError for a column that is no key of a scene; those of views depend on its kind."""
+    """Raise FingerflowError for a column that is no key of a scene; keys of views depend on its kind and are not checked."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -275,7 +275,7 @@ def _check_key(dotted: str, place: str) -> None:
 
 
 def _value(cell: str) -> Any:
-    """A cell as TOML would have it: a number, a list, true or false; what is none of them is text."""
+    """Parse a cell as a TOML value (number, list, true or false); anything else is text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
     except tomllib.TOMLDecodeError:
@@ -283,7 +283,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Letters, digits, dots and dashes as they are, any other character by its number: two texts stay two."""
+    """Escape all characters but letters, digits, dots and dashes by their number, so that different texts stay different."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

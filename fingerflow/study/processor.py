@@ -1,15 +1,15 @@
-"""What each of several trials in one process takes of the processor."""
+"""Processor time of each of several trials in one process."""
 
 import time
 from threading import Lock
 
 
 class Share:
-    """The processor's seconds of the process while it is entered, shared evenly with all that are entered then."""
+    """Processor time of the process while this context is entered, divided evenly among all entered contexts."""
 
     _lock = Lock()
     _running = 0
-    _each = 0.0  # s that one has had that was entered all the time
+    _each = 0.0  # s, share of a context that was entered all the time
     _looked = 0.0
 
     def __enter__(self) -> "Share":
@@ -20,7 +20,7 @@ class Share:
         self._look(-1)
 
     def seconds(self) -> float:
-        """So far."""
+        """Return the processor time so far, s."""
         return self._look(0) - self._begun
 
     @classmethod

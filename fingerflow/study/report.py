@@ -1,4 +1,4 @@
-"""The page of a study: every trial with its thumbnail and report, the figures and the statistics."""
+"""Index page of a study: every trial with its thumbnail and report, the figures and the statistics."""
 
 import json
 from collections.abc import Iterator
@@ -28,13 +28,13 @@ from fingerflow.study.table import write_tables
 
 _THUMBNAIL_PX = 220  # wide
 _SHOWN = ("max_force", "divergence", "strain_energy", "gross_contact_area", "global_displacement")
-_FEWEST_ALIKE = 5  # trials of a condition, from which one can be told to be far from the others
-_MAD = 1.4826  # standard deviations of a Gaussian in a median absolute deviation
+_FEWEST_ALIKE = 5  # trials of a condition needed to detect outliers
+_MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 
 
 @dataclass(frozen=True)
 class PageJob:
-    """A trial whose report and thumbnail are to be written; the manifest is of it alone."""
+    """A trial whose report and thumbnail are to be written; the manifest holds this trial alone."""
 
     manifest: Manifest
     entry: TrialEntry
@@ -42,7 +42,7 @@ class PageJob:
 
 @dataclass(frozen=True)
 class Outlier:
-    """How far a trial is from the others of its condition, in robust deviations, and by which metric."""
+    """Distance of a trial from the others of its condition, in robust deviations, and the metric that shows it."""
 
     deviations: float
     metric: str
@@ -51,12 +51,12 @@ class Outlier:
 def write_study_report(
     manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
 ) -> Path:
-    """Writes `index.html`, `statistics.json` and `figures` among the results, and the report of each trial.
+    """Write `index.html`, `statistics.json` and `figures` into the results folder, and the report of each trial.
 
-    Reports and thumbnails that are newer than the row of their trial are kept; the others are made by workers, as in
-    `run_study`. Figures and statistics come from the table alone.
+    Reports and thumbnails newer than the row of their trial are kept; workers write the others, as in
+    `run_study`. Figures and statistics use the table alone.
 
-    Raises FingerflowError where nothing has been measured, the cluster cannot be had, or a file cannot be written.
+    Raises FingerflowError if nothing has been measured, the cluster is not available, or a file cannot be written.
     """
     import pandas as pd
 
@@ -100,7 +100,7 @@ def write_study_report(
 
 
 def write_page(job: PageJob) -> str:
-    """Writes `report.html` and `thumbnail.jpg` of a trial; what went wrong in words, nothing where it did not."""
+    """Write `report.html` and `thumbnail.jpg` of a trial; return an error message, "" on success."""
     folder = job.manifest.results / job.entry.name
     stored = read_row(folder)
     if stored is None or stored.result is None:
@@ -115,9 +115,9 @@ def write_page(job: PageJob) -> str:
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """For each trial the metric by which it is furthest from the median of its condition.
+    """Return for each trial its largest distance from the median of its condition, and the metric that has it.
 
-    In units of 1.4826 times the median absolute deviation of that condition; 0 where there are fewer than five trials.
+    The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """
     best = np.zeros(len(frame))
     by = np.full(len(frame), "", dtype=object)
@@ -166,7 +166,7 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
 
 
 def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
-    """What the page shows of each trial: those that failed first, then by how far off they are."""
+    """Return the page's data of each trial: failed trials first, then by decreasing outlier distance."""
     rows = []
     for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name

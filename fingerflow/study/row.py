@@ -1,4 +1,4 @@
-"""One trial's result as a row of numbers, and as curves against force on a grid that all trials share."""
+"""One trial's result as a row of numbers, and as curves against force on a common grid."""
 
 import json
 from functools import cached_property
@@ -8,19 +8,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.pipeline.stages.trial.series import rate
+from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.results.result import Own
 from fingerflow.study.columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
 Series = NDArray[np.float64]
-Moment = tuple[int, int, float]  # two frames, and how far between them
+Moment = tuple[int, int, float]  # two frames, and the share of the way between them
 
-#: N, at which curves are averaged.
+#: Forces (N) at which curves are averaged.
 FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
 #: Metrics that have a curve.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
-#: The series of the table that are variables of a result, and all variables that `measure` looks at.
+#: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
     "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
     "divergence": "median_divergence", "divergence_std": "median_divergence_std",
@@ -34,23 +34,23 @@ READ = (
     *("ellipse_angle", "ellipse_semi_axes", "median_strain", "median_strain_std", "median_strain_rate"),
 )
 _JUDGED = "stuck_ratio"  # has the verdict on slip among its attributes
-#: Variables of which `measure` looks at attributes.
+#: Variables whose attributes `measure` reads.
 DESCRIBED = (_JUDGED,)
 
 _LARGEST_QUANTILE = 0.99
-_ANGLE_SHARE = 0.1  # of the largest force, below which T/N is noise over little
+_ANGLE_SHARE = 0.1  # of the largest force, below which T/N is dominated by noise
 _SLID = 0.02  # stuck share below which no skin sticks
 _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """The row of a trial by the names of `columns.NUMBERS` and `FACTS`, and its curves on `FORCE_GRID`.
+    """Compute the row of a trial by the names of `columns.NUMBERS` and `FACTS`, and its curves on `FORCE_GRID`.
 
-    None stands for what is not known: it was not measured, its moment did not come, or a frame there is not usable.
+    None means unknown: not measured, its moment did not occur, or a frame there is not usable.
 
-    At a force F the value lies on the straight line between the two frames around its first crossing, after the onset
-    and before the maximum. The strain along the direction t, the major axis of the gross contact at its maximum, is
-    t' E t of the median components; its deviation takes their errors as independent.
+    The value at a force F is interpolated linearly between the two frames around its first crossing, after the onset
+    and before the maximum. The strain along t, the major axis of the apparent contact at its maximum, is
+    t' E t of the median components; its standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
@@ -72,7 +72,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """The series of a result by the names of the table, and its moments."""
+    """Series of a result by the names of the table, and its moments."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -92,7 +92,7 @@ class _Trial:
         return np.asarray(self._result[name].values) if name in self._result else otherwise
 
     def _values(self, name: str) -> Series | None:
-        """NaN in frames that are not usable; None where the result has no such variable."""
+        """Return a variable with NaN in unusable frames; None if the result has no such variable."""
         if name not in self._result:
             return None
         values = np.array(self._result[name].values, dtype=np.float64)
@@ -100,7 +100,7 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """The frame of the largest force while the finger touches, or without forces of the largest gross area."""
+        """Return the frame of the largest force during contact, or without forces of the largest apparent contact area."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -155,7 +155,7 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Where the normal force first reaches a value, between onset and maximum."""
+        """Return the moment at which the normal force first reaches a value, between onset and maximum."""
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -170,23 +170,23 @@ class _Trial:
 
     @cached_property
     def _grid(self) -> list[Moment | None]:
-        """The crossings of `FORCE_GRID`, which all curves share."""
+        """Return the crossings of `FORCE_GRID`, common to all curves."""
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Values on `FORCE_GRID`, None where the force does not come to; None where nothing is known."""
+        """Return values on `FORCE_GRID`, None at forces that are not reached; None if nothing is known."""
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """From onset to the last frame with contact."""
+        """Return the largest value from onset to the last frame with contact."""
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]
         return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
 
     def of_the_whole(self) -> dict[str, float]:
-        """Numbers that have no moment."""
+        """Return the numbers of the whole trial, which have no moment."""
         found: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:
             return found
@@ -220,7 +220,7 @@ class _Trial:
         counts = np.isfinite(length).sum(1)
         if not counts.any():
             return {}
-        # The quantile as the value of one point, whose speed is asked for too: the lower neighbour.
+        # The quantile is the value of one point (the lower neighbour), because its speed is needed too.
         chosen = np.floor(_LARGEST_QUANTILE * np.maximum(counts - 1, 0)).astype(int)
         largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))
@@ -233,7 +233,7 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """What is no number with a unit."""
+        """Return counts, warnings and verdict: all columns that are not numbers with a unit."""
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

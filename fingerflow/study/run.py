@@ -1,4 +1,4 @@
-"""Which trials are to be run and why, and running them on Dask."""
+"""Selection of the trials to run, with reasons, and their execution on Dask."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -12,12 +12,12 @@ from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 
-_TOGETHER = 8  # trials that are computed together on an accelerator
+_TOGETHER = 8  # trials batched on an accelerator
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A trial that is to be run: from which part on, and why."""
+    """A trial to be run: from which part on, and why."""
 
     entry: TrialEntry
     redo: Part
@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """How a run ended: outcomes by status, what failed and why, and whether it was interrupted."""
+    """Outcome of a run: numbers of planned and skipped trials, their outcomes, and the reason for an interruption."""
 
     planned: int
     skipped: int
@@ -34,7 +34,7 @@ class Summary:
     interrupted: str = ""
 
     def __str__(self) -> str:
-        """A line of counts, and one for each failure."""
+        """Return one line of counts, and one for each failure."""
         counts = Counter(one.status for one in self.outcomes)
         left = self.planned - len(self.outcomes)
         lines = [
@@ -50,14 +50,14 @@ class Summary:
 
 
 def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = False) -> list[Planned]:
-    """The trials that have no result of what they are now made of, in the order of the manifest.
+    """Return the trials without a result for their current inputs, settings and code, in the order of the manifest.
 
     Args:
         manifest: the study.
         only: a pattern of names of trials such as "p03_*"; the others are left as they are.
-        retry_failed: also those that failed, though nothing of them has changed.
+        retry_failed: include failed trials of which nothing has changed.
 
-    Raises FingerflowError where `only` fits no trial.
+    Raises FingerflowError if `only` matches no trial.
     """
     entries = [entry for entry in manifest.trials if only is None or fnmatchcase(entry.name, only)]
     if not entries:
@@ -76,25 +76,24 @@ def run_study(
     progress: bool = True,
     together: int | None = None,
 ) -> Summary:
-    """Runs what `plan_run` says, on processes of this computer or on a cluster.
+    """Run the trials of `plan_run`, in processes on this computer or on a cluster.
 
-    Each task is one trial, or some that are computed together. What is finished stands in the folder of the results,
-    whatever happens afterwards: Ctrl-C, or the loss of a worker or of the scheduler, end the run and lose nothing of
-    it.
+    Each task is one trial, or a batch of trials. Finished trials are stored in the results folder: Ctrl-C or the loss
+    of a worker or of the scheduler ends the run without losing them.
 
     Args:
         manifest: the study.
-        scheduler: the address of a Dask scheduler, or the class of a deployment by its name, such as
+        scheduler: the address of a Dask scheduler, or the name of a deployment class, such as
             "dask_jobqueue.SLURMCluster", which takes its settings from Dask's own configuration. None for a cluster
             of processes on this computer.
-        workers: processes; by default a core each, or one where trials go together. Cores that are left over become
+        workers: processes; by default one per core, or one with batched trials. Remaining cores become
             threads of each.
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
-        together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), of which an
-            accelerator has something; by default 8 where this computer has one, else 1.
+        together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), which
+            benefits an accelerator; by default 8 if this computer has one, else 1.
 
-    Raises FingerflowError where the cluster cannot be had.
+    Raises FingerflowError if the cluster is not available.
     """
     planned = plan_run(manifest, only, retry_failed)
     chosen = [entry for entry in manifest.trials if only is None or fnmatchcase(entry.name, only)]
@@ -105,7 +104,7 @@ def run_study(
     if together > 1 and scheduler is None:
         workers = workers or 1
     try:
-        # What a group could not bring to an end is tried by itself: one may be the cause, or all were too much.
+        # Trials of an unfinished group are run singly: one may be the cause, or all together needed too much memory.
         for size in dict.fromkeys((together, 1)):
             ended = {one.name for one in summary.outcomes}
             left = [one for one in planned if one.entry.name not in ended]
@@ -124,8 +123,10 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Outcomes by groups of so many at most, without those of groups that no worker could bring to an end, and those
-    that failed in a group for what passes: memory that was too small for all may hold one.
+    """Yield outcomes by groups of at most ``size`` trials.
+
+    Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
+    that was too small for all may suffice for one.
     """
     if not planned:
         return
@@ -147,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """How many trials go together; what accelerators the workers of a cluster have is not known here."""
+    """Return the number of trials to batch; accelerators of a cluster's workers are not known here."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
@@ -163,7 +164,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
     try:
         keys = keys_of(manifest.scene_of(entry), None if stored.keys is None else stored.keys.inputs)
     except FingerflowError as error:
-        # It would fail in the same words again; a row that says so already is all there can be.
+        # It would fail with the same message again; a row with this message is final.
         return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")
     if stored.keys is None:
         return Planned(entry, "everything", "could not be opened last time")
@@ -182,7 +183,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Of a task that no worker could bring to an end. Raises FingerflowError where the worker itself is at fault."""
+    """Return the outcome of a task that no worker could finish; raises FingerflowError if the worker itself is at fault."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -1,8 +1,8 @@
-"""A study with known truth: skin of two stiffnesses, friction by condition, and an observer of known sensitivity.
+"""A simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
 
 Divergence is that of the skin chain (Willemet et al. 2021) at the friction of a condition and the softness of a
-participant, times a factor of the participant's own, and it varies from trial to trial. The observer feels it with
-noise of its own and answers "more slippery" where it exceeds a criterion. So what the statistics should find follows
+participant, times a factor per participant, plus variation from trial to trial. The observer perceives it with
+noise and answers "more slippery" if it exceeds a criterion. The true values of the statistics therefore follow
 by integration: `truth_of`.
 """
 
@@ -26,26 +26,26 @@ from fingerflow.synthetic import Camera, ChainPress, write_recording
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
-_RECORDED_N = 2.0  # of recordings, whose views hold a contact of softer skin at this force
+_RECORDED_N = 2.0  # force in recordings, at which a contact of softer skin fits in the views
 _POINTS = 4001  # of the integrals, over eight deviations beyond the means
 _FRAMES, _FRAME_SHAPE, _FINGER = 40, (224, 560), (3.6, 3.4)
 
 
 @dataclass(frozen=True)
 class Design:
-    """What a study is made of.
+    """Design of a simulated study.
 
     Attributes:
         participants: the second half of them has softer skin.
         trials: of each participant in each condition.
-        amplitudes: µm of vibration, one a condition.
+        amplitudes: µm of vibration, one per condition.
         friction: coefficient without vibration, and at the largest amplitude; between them it falls geometrically.
-        softness: of the softer skin: every stiffness of the chain is divided by it.
+        softness: of the softer skin: divisor of the chain's stiffnesses.
         own: standard deviation of a participant's factor.
         spread: standard deviation of a trial's divergence around that of its participant and condition.
         criterion: divergence above which the observer answers "more slippery".
-        noise: standard deviation of what the observer feels of it.
-        seed: of all that is drawn.
+        noise: standard deviation of the perceived divergence.
+        seed: of all random numbers.
     """
 
     participants: int = 16
@@ -61,7 +61,7 @@ class Design:
 
     @cached_property
     def frictions(self) -> Values:
-        """(C,) of the conditions."""
+        """Return the friction coefficients (C,) of the conditions."""
         low, high = self.friction
         amplitudes = np.asarray(self.amplitudes)
         result: Values = low * (high / low) ** (amplitudes / max(amplitudes.max(), 1e-9))
@@ -69,20 +69,20 @@ class Design:
 
     @cached_property
     def divergences(self) -> Values:
-        """(2, C) of firmer and softer skin by condition, at 3 N."""
+        """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
         friction = torch.from_numpy(self.frictions)
         found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in (1, self.softness)]
         result: Values = torch.stack(found).numpy()
         return result
 
     def is_soft(self) -> NDArray[np.bool_]:
-        """(P,) which participants have softer skin."""
+        """Return True for participants (P,) with softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
 
 @dataclass(frozen=True)
 class ObserverTruth:
-    """What the statistics of the whole population are; as `fingerflow.models.observer` defines them."""
+    """True statistics of the whole population, as `fingerflow.models.observer` defines them."""
 
     d_prime: float
     auc: float
@@ -91,9 +91,11 @@ class ObserverTruth:
 
 
 def truth_of(design: Design, hits: float = 0.75) -> ObserverTruth:
-    """By integration: with f(x) the density of the divergence over all trials, a mixture of Gaussians, and h(x) =
-    Phi((x - criterion) / noise) the probability of the answer, correct trials have the density f h / P and incorrect
-    ones f (1 - h) / (1 - P), P the integral of f h.
+    """Compute the true statistics by integration.
+
+    f(x) is the density of the divergence over all trials, a mixture of Gaussians, and h(x) = Phi((x - criterion) /
+    noise) the probability of the answer. Correct trials have the density f h / P and incorrect ones f (1 - h) / (1 -
+    P), P the integral of f h.
     """
     means = design.divergences.ravel()
     deviations = np.hypot(design.own * means, design.spread)
@@ -117,10 +119,10 @@ def truth_of(design: Design, hits: float = 0.75) -> ObserverTruth:
 
 
 def simulate_table(design: Design) -> dict[str, Any]:
-    """A table of trials as `write_tables` gives one, without recordings, for the statistics alone.
+    """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
 
-    Strain and its energy follow the divergence with noise of their own, so that they tell less of the answer; global
-    displacement, force angle, areas, curl and the course of the force have no part in it.
+    Strain and its energy follow the divergence with added noise, so they predict the answer less well. Global
+    displacement, force angle, areas, curl, rates and force are independent of it.
     """
     draw = np.random.default_rng(design.seed)
     who, condition, trial = (
@@ -160,11 +162,12 @@ def simulate_table(design: Design) -> dict[str, Any]:
 
 
 def write_recordings(folder: Path, design: Design) -> None:
-    """Writes a recording a trial by `ChainPress` with its scene, `answers.csv` and `truth.json`, into a new folder.
+    """Write one `ChainPress` recording per trial with its scene, `answers.csv` and `truth.json`, into a new folder.
 
-    A trial's divergence varies through its force, 2 N and a tenth; the observer feels that of the chain at this force.
+    A trial's divergence varies through its force, 2 N with a standard deviation of a tenth. The observer perceives the
+    chain's divergence at this force.
 
-    Raises FingerflowError where a recording cannot be written.
+    Raises FingerflowError if a recording cannot be written.
     """
     draw = np.random.default_rng(design.seed)
     rows = []

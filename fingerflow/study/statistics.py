@@ -1,4 +1,4 @@
-"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and what was left out of them."""
+"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
 
 import math
 import warnings
@@ -29,7 +29,7 @@ _FIRST = "divergence"  # the metric that the others are compared with
 
 @dataclass(frozen=True)
 class Counted:
-    """How many trials there are, and how many each rule has left out."""
+    """Number of trials, and how many each rule has left out."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -38,7 +38,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials for figures and statistics; where `answered` is False, `answer` says nothing."""
+    """Trials for figures and statistics; if `answered` is False, `answer` is meaningless."""
 
     trials: Trials
     answered: bool
@@ -46,9 +46,9 @@ class Sample:
 
 
 def sample_of(frame: Any) -> Sample:
-    """The trials of a table (a DataFrame with the columns of `write_tables`) that have what statistics need.
+    """Return the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
 
-    Raises FingerflowError where no trial has been measured.
+    Raises FingerflowError if no trial has been measured.
     """
     measured = (frame["status"] == MEASURED).to_numpy()
     answered = frame["answer"].notna().to_numpy()
@@ -68,15 +68,18 @@ def sample_of(frame: Any) -> Sample:
 
 
 def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
-    """Everything as plain numbers, for `statistics.json` and the page.
+    """Compute all statistics as plain numbers, for `statistics.json` and the page.
 
-    - `by_condition`: a one-way ANOVA of each metric over conditions, and of each over answers.
-    - `shares`: Spearman's coefficient between medians and shares of answers, a dot a participant and condition.
-    - `correlations`: Pearson's, of strain and of energy with divergence.
-    - `force_rate`: a mixed model of the rate by condition, an intercept a participant (numbers as conditions).
+    - `counted`: numbers of trials, left out by each rule and used.
+    - `by_condition`, `by_answer`: a one-way ANOVA of each metric over conditions and over answers.
+    - `shares`: Spearman's coefficient between medians and shares of answers, one dot per participant and condition.
+    - `correlations`: Pearson's, of strain, strain energy and curl with divergence.
+    - `force_rate`: a mixed model of the rate by condition, one intercept per participant (needs numeric conditions).
     - `observer`: d', area under the ROC, criterion for 75 % hits, and their intervals by participant, without trials of
-      fingers that slid as a whole; `beside_divergence` the area less that of divergence in the same trials.
+      fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same trials.
     - `groups`: one or two groups of participants by their median divergence.
+
+    `by_answer`, `shares` and `observer` exist only with answers.
 
     Args:
         sample: of `sample_of`.
@@ -142,7 +145,7 @@ def _of_force_rate(trials: Trials) -> Any:
         "force_rate": trials.metrics["force_rate"],
     }
     try:
-        with warnings.catch_warnings(record=True):  # that it has not converged stands in the result
+        with warnings.catch_warnings(record=True):  # the result reports whether it converged
             return mixed_model(table, "force_rate ~ condition")
     except (FingerflowError, ValueError, np.linalg.LinAlgError) as error:
         return {"reason": f"the model cannot be fitted: {error}"}
@@ -163,7 +166,7 @@ def _median(values: NDArray[np.float64]) -> float:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can say; NaN is None."""
+    """Convert a value to types that JSON can represent; NaN becomes None."""
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value))
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The table of trials, and averages of curves by condition, from the rows that runs have left."""
+"""Table of trials, and curves averaged by condition, from the stored rows of runs."""
 
 import os
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ _LEVEL = 0.95
 _CURVE_COLUMNS = [
     "metric", "unit", "condition", "normal_force_N", "mean", "low", "high", "participants", "trials", "without",
 ]  # fmt: skip
-_MOST_MISSING = 0.5  # of a condition's trials: where fewer reach a force, their mean would be one of a selection
+_MOST_MISSING = 0.5  # of a condition's trials: if fewer reach a force, their mean would be that of a selection
 
 
 @dataclass(frozen=True)
 class Tables:
-    """The files that were written."""
+    """Paths of the files written by `write_tables`."""
 
     trials: Path
     csv: Path
@@ -35,11 +35,11 @@ class Tables:
 
 
 def write_tables(manifest: Manifest) -> Tables:
-    """Writes `trials.parquet` and `trials.csv` (a row a trial), `variables.csv` (what each column is) and `curves.csv`.
+    """Write `trials.parquet` and `trials.csv` (a row per trial), `variables.csv` (column definitions) and `curves.csv`.
 
-    Every trial of the manifest has its row: one that failed or was not run has its reason, and no numbers.
+    Every trial of the manifest has a row; a failed one has its reason and no numbers, one not yet run has neither.
 
-    Raises FingerflowError where pandas or pyarrow is not installed, or a file cannot be written.
+    Raises FingerflowError if pandas or pyarrow is not installed, or a file cannot be written.
     """
     try:
         import pandas as pd
@@ -72,13 +72,13 @@ def write_tables(manifest: Manifest) -> Tables:
         columns=["column", "unit", "definition"],
     )
     write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
-    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # a heading where there is none
+    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # keeps the heading of an empty table
     write_atomically(paths.curves, lambda part: curves.to_csv(part, index=False))
     return paths
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """The rows of the table: what the manifest says of each trial, then its facts, then its numbers, NaN for None."""
+    """Return the rows of the table: the manifest's columns of each trial, then its facts, then its numbers, NaN for None."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -107,7 +107,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Areas over the median of their participant, by the names of their columns; NaN where that is 0 or unknown."""
+    """Return areas over the median of their participant, by column name; NaN where the median is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -116,11 +116,11 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Curves against force, averaged by condition, a row a metric, condition and force.
+    """Average curves against force by condition; return one row per metric, condition and force.
 
-    The mean is that of the participants' means, and its 95 % interval by Student's t from their spread: participants
-    are the units, their trials are not independent. NaN for fewer than two participants. A force that fewer than half
-    of a condition's trials reach is left out: they would be a selection of those that pressed hard.
+    The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
+    the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force
+    that fewer than half of a condition's trials reach is left out: its mean would be that of a selection.
     """
     rows: list[dict[str, Any]] = []
     conditions = sorted({entry.condition for entry, _ in stored}, key=_in_order)

@@ -1,4 +1,4 @@
-"""One trial, as a worker runs it: paths in, a short outcome out; everything else goes to its folder."""
+"""Execution of one trial by a worker: paths in, a short outcome out; everything else is written to its folder."""
 
 import errno
 import gc
@@ -41,8 +41,8 @@ class Job:
         manifest: of this trial alone.
         entry: the trial.
         redo: "everything", what settings or code have "changed", or the "row" alone.
-        codes: the client's `code_of` by part, which the worker's must be.
-        threads: that a worker computes with.
+        codes: the client's `code_of` by part, which the worker's must equal.
+        threads: number of threads that a worker uses.
     """
 
     manifest: Manifest
@@ -54,7 +54,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job: its status and reason, and seconds of wall clock and of the processor."""
+    """Result of a job: its status and reason, wall-clock and processor seconds."""
 
     name: str
     status: str
@@ -65,15 +65,15 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Processes trials together and writes the row of each, or the reason why there is none.
+    """Process trials in one batch and write the row of each, or the reason why there is none.
 
-    Only what is wrong with the worker itself is raised, as FingerflowError: another version of the package.
+    Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
     return run_steps([_steps(job, len(jobs)) for job in jobs])
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """A trial that is one of so many which are computed together."""
+    """Run one trial of a batch of ``together`` trials, as steps."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -102,7 +102,7 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
             with open_result(path) as result:
                 row, curves = measure(result)
         else:
-            # One that is there under this name may be damaged, and then it would not be known for a result.
+            # Overwrite: an existing file of this name may be damaged and not be recognised as a result.
             yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(look_at(path), path=path.name)
@@ -122,26 +122,26 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
         "redone_from": job.redo,
         "threads": job.threads,
         "together": together,
-        "seed": None,  # nothing of `process` is drawn
+        "seed": None,  # `process` uses no random numbers
         **_machine(),
         **trace,
     }
     try:
         write_row(folder, TrialRow(**{**trial.__dict__, "made": made}))
-    except FingerflowError as error:  # it is not lost: without a row the trial is run again
+    except FingerflowError as error:  # without a row the trial is run again
         return Outcome(job.entry.name, FAILED, str(error), True, seconds, cpu_seconds)
     return Outcome(job.entry.name, trial.status, trial.reason, trial.passing, seconds, cpu_seconds)
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Whether a row and its result are those of the trial as it is now."""
+    """Return True if a row and its result belong to the trial in its current state."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)
 
 
 def _is_passing(error: BaseException) -> bool:
-    """Whether it may go well another time, with the same trial."""
+    """Return True if the error is transient: the same trial may succeed another time."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
         or (isinstance(one, OSError) and one.errno in _PASSING)
@@ -158,7 +158,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Once a worker: its threads, its memory, and what is loaded by now is not searched for garbage again and again."""
+    """Set a worker's threads and memory, once; exclude loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

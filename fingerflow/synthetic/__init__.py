@@ -1,4 +1,4 @@
-"""Scenes of a finger on glass with exactly known motion, contact and forces: for the demo, the tests and the bench."""
+"""Synthetic scenes of a finger on glass with exactly known motion, contact and forces: for demo, tests and bench."""
 
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress

@@ -1,4 +1,4 @@
-"""What a camera makes of light: grey levels with shot noise, read noise, defect pixels and quantisation."""
+"""Camera model: grey levels with shot noise, read noise, defective pixels and quantisation."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True)
 class Camera:
-    """A monochrome camera. All levels are stated for 8 bit and grow with the range of a deeper camera.
+    """A monochrome camera. All levels are stated for 8 bit and scale with the range of a deeper camera.
 
     Args:
         bit_depth: 8 to 16; frames are uint8 for 8 bit and uint16 above.
         dark: grey level without light.
         noise: standard deviation at half of the range, in grey levels, without the quantisation.
         shot_share: share of that variance that is shot noise, growing in proportion to the light; the rest is constant.
-        salt_and_pepper: share of the pixels that show 0 or the full range, where a picture asks for them.
+        salt_and_pepper: share of the pixels at 0 or at full range, in images with defects.
         seed: of all of the noise.
     """
 
@@ -38,33 +38,33 @@ class Camera:
 
     @property
     def full_range(self) -> int:
-        """The largest grey level."""
+        """Return the largest grey level."""
         result: int = 2**self.bit_depth - 1
         return result
 
     @property
     def levels(self) -> float:
-        """Grey levels of this camera in one 8-bit grey level."""
+        """Return the number of this camera's grey levels in one 8-bit grey level."""
         return self.full_range / 255
 
     def expose(self, light: Tensor) -> Tensor:
-        """Noise-free grey levels of this camera, not rounded, for a light given in 8-bit grey levels above the dark."""
+        """Return noise-free, unrounded grey levels of this camera for light in 8-bit grey levels above the dark."""
         return (light + self.dark) * self.levels
 
     def variance(self, clean: Tensor) -> Tensor:
-        """Variance of a pixel in squared grey levels of this camera, without quantisation, at its noise-free level."""
+        """Return a pixel's variance at its noise-free level, in squared grey levels, without quantisation."""
         scale, dark = self.levels, self.dark * self.levels
         at_half = (self.noise * scale) ** 2
         shot = at_half * self.shot_share / (127.5 * scale - dark)
         return (clean - dark).clamp(min=0) * shot + at_half * (1 - self.shot_share)
 
     def read_out(self, clean: Tensor, picture: int, defects: View | None = None) -> NDArray[np.integer]:
-        """The picture (H, W) that the camera delivers: the same for the same number `picture`, in whatever order.
+        """Return the image (H, W) that the camera delivers; the same `picture` number always gives the same noise.
 
         Args:
             clean: noise-free grey levels (H, W).
-            picture: which picture this is; each number has its own noise.
-            defects: the part of the picture that has salt and pepper.
+            picture: number of the image; each has its own noise.
+            defects: the part of the image with salt-and-pepper noise.
         """
         generator = torch.Generator().manual_seed(self.seed * 0x9E3779B1 + picture + 2**31)
         noise = torch.randn(clean.shape, generator=generator, dtype=torch.float32)

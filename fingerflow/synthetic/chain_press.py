@@ -1,4 +1,4 @@
-"""A fingertip pressed on glass as the skin chain has it: how far its skin spreads depends on friction."""
+"""A fingertip pressed on glass, simulated with the skin chain: the spread of its skin depends on friction."""
 
 import math
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 from fingerflow.synthetic.spline import cubic_weights
 
-_TIMES = 257  # of the chain during the rise
-_KNOTS = 32  # steps of the splines in time: contact grows by elements, which they even out
-_RADII = 96  # steps of the spline from the axis to the side of the finger
-_SIDE = 0.95  # of the finger's radius: beyond, skin stands upright and is not seen from below
+_TIMES = 257  # times of the chain during the rise
+_KNOTS = 32  # intervals of the splines in time; they smooth the growth of contact by elements
+_RADII = 96  # intervals of the spline from the axis to the side of the finger
+_SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible from below
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """A press whose skin moves as a skin chain turned about its axis, under a force that rises as sin² and is held.
+    """A press whose skin moves as a skin chain of revolution, under a force that rises as sin² and is then held.
 
-    Contact is a disc, displacement is radial, and both are those of the chain; what the chain gave up to the end of the
-    rise stays. Settings that all scenes share are those of `SyntheticScene`.
+    Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
+    persists. Settings that all scenes share are those of `SyntheticScene`.
 
     Args:
         friction: coefficient between skin and glass.
-        parameters: of the chain, "paper" or "lab", whose contact is half as large.
-        softness: what their stiffnesses are divided by.
+        parameters: of the chain, "paper" or "lab"; the contact with "lab" is half as large.
+        softness: divisor of the parameters' stiffnesses.
         force: at the end, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.
@@ -51,7 +51,7 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain(self) -> Chain:
-        """At even times of the rise, first contact and full force among them."""
+        """Return the chain at evenly spaced times of the rise, from first contact to full force."""
         time = torch.linspace(0, self.rise_time, _TIMES, dtype=torch.float64)
         load = torch.from_numpy(self.normal_force(time.numpy() + self.contact_time))
         skin = named(self.parameters).softer(self.softness)
@@ -59,11 +59,11 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """What the chain itself says, without pictures and splines: what is to be recovered."""
+        """Return the chain's own displacement and divergence since contact: ground truth without images and splines."""
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:
-        """Numbers (T,) of the chain's times at those of the frames, NaN before contact."""
+        """Interpolate values (T,) at the chain's times to the times of the frames; NaN before contact."""
         share = self.progress(self.times)
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
@@ -96,17 +96,18 @@ class ChainPress(SyntheticScene):
 
 @dataclass(frozen=True, eq=False)
 class RadialMotion:
-    """A disc of contact that grows under skin which spreads from its centre by as much as splines say.
+    """A growing disc of contact under skin that spreads from its centre, both given by splines.
 
-    Progress is the share of the rise that has gone. With r the distance from the centre, material = position (1 - s),
-    s(r, progress) a bicubic spline, even in r; the square of the disc's radius is a cubic spline of progress. Both are
-    even at either end of the progress: force begins and ends without a slope.
+    Progress is the elapsed share of the rise. With r the distance from the centre, material = position (1 - s), where
+    s(r, progress) is a bicubic spline, even in r. The square of the disc's radius is a cubic spline of progress. Both
+    are even at either end of the progress, because the force begins and ends with zero slope.
 
     Args:
         centre: of the contact, mm.
-        side: radius (mm) where the spline ends; beyond, s is that of its end.
-        share: coefficients (K + 3, M + 3) of s, from progress 0 to 1 and radius 0 to ``side``, each with one around.
-        square: coefficients (K + 3,) of the square of the radius of the contact, mm².
+        side: radius (mm) where the spline ends; beyond it s is constant.
+        share: coefficients (K + 3, M + 3) of s, from progress 0 to 1 and radius 0 to ``side``, padded by one on each
+            side.
+        square: coefficients (K + 3,) of the square of the contact radius, mm².
     """
 
     centre: tuple[float, float]
@@ -114,18 +115,18 @@ class RadialMotion:
     share: Tensor
     square: Tensor
 
-    # The contact outruns the skin, so a point that is inside stays inside.
+    # The contact grows faster than the skin spreads, so a point that is inside stays inside.
     entry_steps = 1
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         right, down = x - self.centre[0], y - self.centre[1]
-        # The summand is below the rounding of any position that matters; it gives the centre a gradient, not NaN.
+        # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre finite.
         radius = torch.sqrt(right.square() + down.square() + 1e-30)
         rows, columns = self.share.shape
         first, weights = _place(progress, rows - 3)
         table = self.share.to(x.dtype)
         start, across = _place(radius / self.side, columns - 3)
-        if progress.numel() == 1:  # of a picture: one row for all pixels
+        if progress.numel() == 1:  # an image: one row of coefficients for all pixels
             four = torch.stack([weight.reshape(()) for weight in weights])
             spread = _line(four @ table[int(first) : int(first) + 4], start, across)
         else:
@@ -149,7 +150,10 @@ class RadialMotion:
 
 
 def _evened(values: Array) -> Array:
-    """(K + 1, ...) at even times, by least squares from the chain's (T, ...); as they are at the first contact."""
+    """Smooth the chain's values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
+
+    The values at first contact are kept.
+    """
     time = np.linspace(0, 1, _TIMES)
     knots = np.concatenate(([0.0] * 3, np.linspace(0, 1, _KNOTS + 1), [1.0] * 3))
     weight = np.where(time == 0, 1e3, 1.0)
@@ -157,14 +161,14 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Of the cubic spline through values on a grid, mirrored at its ends, with one more on either side."""
+    """Return cubic spline coefficients for values on a grid, mirrored at its ends and padded by one on each side."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Of a share of the way over a grid: the first of its four coefficients, and their weights."""
+    """Return the index of the first of four spline coefficients and their weights, at a share of the grid's length."""
     at = share.clamp(0, 1) * steps
-    first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN goes on in the weights
+    first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]
 
 

@@ -1,4 +1,4 @@
-"""Measured against the truth of a synthetic scene."""
+"""Comparison of measurements with the truth of a synthetic scene."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,7 @@ from fingerflow.synthetic import SyntheticScene
 
 
 class Comparison(NamedTuple):
-    """One quantity: measured and true value in the last frame, and the error over all frames that ``error_of``
-    names.
-    """
+    """One quantity: measured and true value in the last frame, and a text with its errors."""
 
     quantity: str
     unit: str
@@ -23,9 +21,9 @@ class Comparison(NamedTuple):
 
 
 def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
-    """What was measured beside what is true, for every quantity of a synthetic recording that was processed whole.
+    """Compare every quantity of a completely processed synthetic recording with the truth.
 
-    Early contact is smaller than the structures it is made of: errors of areas are given from 10 mm^2 on.
+    Early contact is smaller than the structures it is made of: errors of areas are given from 10 mm² on.
     """
     truth = scene.truth
     last = scene.n_frames - 1
@@ -110,7 +108,7 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
 
 
 def as_text(rows: list[Comparison]) -> str:
-    """The table in plain text."""
+    """Return the table in plain text."""
     lines = [f"{'quantity':33}{'measured':>12}{'truth':>12}  {'unit':7}error"]
     lines += [f"{row.quantity:33}{row.measured:12.4f}{row.truth:12.4f}  {row.unit:7}{row.error}" for row in rows]
     return "\n".join(lines)

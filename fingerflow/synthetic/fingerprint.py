@@ -12,7 +12,7 @@ from fingerflow.synthetic.ridge_pattern import Pattern, arch, loop, ridges, whor
 from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
 
 PATTERNS: dict[str, Callable[[], Pattern]] = {"loop": loop, "whorl": whorl, "arch": arch}
-#: Radius (mm) of the bow of the ridges over the fingertip.
+#: Radius of curvature (mm) of the ridges across the fingertip.
 BOW = 15.0
 
 
@@ -20,10 +20,10 @@ BOW = 15.0
 class FingerprintTexture:
     """A fingerprint in material coordinates (mm, x right, y down, the tip of the finger up).
 
-    Grey level and contact are a formula, known at every real-valued position, and continuously differentiable; endings
-    and bifurcations are where the formula has them (`ridge_pattern`), about one in 3 mm². In contact the height of the
-    ridges decides: it is lower where a pore lies, uneven along each ridge, and near the edge of the contact, where the
-    pressure is low, less of it touches, so that ridges become thin and break up.
+    Grey level and contact are a formula, defined at every real-valued position and continuously differentiable. Ridge
+    endings and bifurcations follow from the formula (`ridge_pattern`), about one in 3 mm². Ridges touch above a height.
+    The height is lower at a pore, uneven along each ridge, and reduced near the edge of the contact, where the
+    pressure is low: there ridges become thin and break up.
 
     Args:
         pattern: loop, whorl or arch.
@@ -33,8 +33,8 @@ class FingerprintTexture:
         pores: depth of the pores as contrast; as height, in units of the ridges' amplitude, it is twice that.
         grain: amplitude of the sum of plane waves (wavelengths of 0.25 to 1 mm), as contrast; the ridges have the rest.
         uneven: amplitude of the sum of plane waves (0.6 to 3.2 mm) in the height, in units of the ridges' amplitude.
-        border: height that touches no longer at the edge of the contact, in the same unit.
-        border_width: over which distance (mm) from the edge it falls to 1/e.
+        border: loss of height at the edge of the contact, in the same unit.
+        border_width: distance (mm) from the edge over which that loss falls to 1/e.
     """
 
     pattern: str = "loop"
@@ -65,13 +65,13 @@ class FingerprintTexture:
         object.__setattr__(self, "_pattern", PATTERNS[self.pattern]())
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Contrast inside (-1, 1), bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the contrast inside (-1, 1), bright on the ridges, at the material positions (x, y), in mm."""
         ridge = self.ridges(x, y)
         contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._waves["pores"], x, y) * (self.pores / 32)
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """As of `Skin`; the share is that without pores, unevenness and border."""
+        """Return the margin as defined by `Skin`; the share is that without pores, unevenness and border."""
         height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]
@@ -80,7 +80,7 @@ class FingerprintTexture:
         return touching * (self.period / (2 * math.pi))
 
     def ridges(self, x: Tensor, y: Tensor) -> Tensor:
-        """Height of the ridges inside (-1, 1) at (x, y), 1 on a crest."""
+        """Return the height of the ridges inside (-1, 1) at (x, y), 1 on a crest."""
         across, down = x - self.centre[0], y - self.centre[1]
         right = add_waves(across, self._waves["right"], 0.06, x, y)
         below = add_waves(down - across.square() * (0.5 / BOW), self._waves["down"], 0.06, x, y)

@@ -1,4 +1,4 @@
-"""A soft sensor seen from inside: a gel with printed markers, an object that presses, drags, slips, and lets go."""
+"""A soft sensor with an internal camera: a gel with printed markers; an object presses, drags, slips and lifts off."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,38 +15,38 @@ from fingerflow.schema.scene import gel_scene_text
 from fingerflow.synthetic.camera import Camera
 
 Array = NDArray[np.float64]
-_SUPERSAMPLED = 2  # positions a pixel, each way
-_INVERTED = 1e-3  # px, the last step of the fixed point, whose error is no larger for gradients up to a half
+_SUPERSAMPLED = 2  # positions per pixel along each axis
+_INVERTED = 1e-3  # px, last step of the fixed-point iteration; its error is no larger for gradients up to 1/2
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerGel:
     """A lattice of dark discs on an elastic surface. Lengths in px of the frame, angles in rad.
 
-    The course, by shares of the recording: rest until 0.15; the object presses until 0.3, which spreads the gel by
-    `dilation`; it drags the gel by `shear` until 0.6, while its rim slips from 0.45 on; at 0.7 it slips as a whole,
-    and from one frame to the next the gel keeps `kept` of its shear; at 0.85 the object is gone and the gel at rest.
+    Time course, in shares of the recording: at rest until 0.15. Until 0.3 the object presses, which spreads the gel by
+    `dilation`. Until 0.6 it drags the gel by `shear`, while its rim slips from 0.45 on. At 0.7 it slips as a whole:
+    from one frame to the next the gel keeps `kept` of its shear. At 0.85 the object is gone and the gel is at rest.
 
     A point X of the surface at rest is displaced by u = (shear s(t) m(r, t) + dilation p(t) (X - c)) exp(-r^2 / 2 b^2)
-    with r its distance from the object's middle c, b the `reach`, and m from 1 in the stuck part to 1 - `lag` at its
-    rim: an exact function, inverted for each quarter of a pixel. Light falls from three sides, one a colour, so that
-    pressure darkens one side and brightens the other.
+    with r its distance from the object's centre c, b the `reach`, and m from 1 in the stick region to 1 - `lag` at its
+    rim. The function is exact and is inverted at four points per pixel. Light falls from three sides, one per colour,
+    so pressure darkens one side and brightens the other.
 
     Args:
         n_frames: of the recording.
-        frame_rate: frames a second.
+        frame_rate: frames per second.
         frame_shape: rows and columns.
         spacing: of the markers.
         radius: of a marker.
-        jitter: standard deviation of the places of markers about the lattice.
-        contact: middle of the object, (x, y).
+        jitter: standard deviation of the markers' positions about the lattice.
+        contact: centre of the object, (x, y).
         object_radius: of the object.
         reach: of the displacement.
         shear: (x, y) at the end of the drag.
         kept: share of it after gross slip.
         dilation: gradient of the spreading.
         lag: share of the shear that the rim of the contact has lost to partial slip.
-        tilt: relative change of light by pressure, at most.
+        tilt: largest relative change of light by pressure.
         exposure: gain of the camera while the object touches.
         seed: of jitter.
         camera: noise, of each colour.
@@ -72,7 +72,7 @@ class MarkerGel:
 
     @cached_property
     def markers(self) -> Array:
-        """(N, 2) px at rest, those beyond the border that may come into view too."""
+        """Return marker positions (N, 2) px at rest, including those outside the frame that may move into it."""
         height, width = self.frame_shape
         columns, rows = (np.arange(-2, int(size / self.spacing) + 3) for size in (width, height))
         lattice = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) * self.spacing + self.spacing / 3
@@ -80,11 +80,11 @@ class MarkerGel:
         return result
 
     def pressed(self, frame: int) -> float:
-        """From 0 without to 1 with the object."""
+        """Return the pressing from 0 without to 1 with the object."""
         return float(np.interp(self._share(frame), (0.15, 0.3, 0.7, 0.85), (0, 1, 1, 0)))
 
     def sheared(self, frame: int) -> float:
-        """Share of `shear`."""
+        """Return the current share of `shear`."""
         share = self._share(frame)
         if share >= 0.7:
             return float(np.interp(share, (0.7, 0.85), (self.kept, 0)))
@@ -92,15 +92,15 @@ class MarkerGel:
 
     @property
     def slip_frame(self) -> int:
-        """First frame after gross slip."""
+        """Return the first frame after gross slip."""
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:
-        """From 0 to 1: how far partial slip has come."""
+        """Return the extent of partial slip, from 0 to 1."""
         return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
 
     def displacement(self, places: Array, frame: int) -> Array:
-        """(..., 2) px of places (..., 2) at rest."""
+        """Return the displacement (..., 2) px of positions (..., 2) at rest."""
         off = places - np.asarray(self.contact)
         r = np.linalg.norm(off, axis=-1, keepdims=True)
         rim = np.clip((r - 0.4 * self.object_radius) / (0.6 * self.object_radius), 0, 1)
@@ -111,11 +111,11 @@ class MarkerGel:
         return result
 
     def positions(self, frame: int) -> Array:
-        """(N, 2) px where the markers are."""
+        """Return the current positions (N, 2) px of the markers."""
         return self.markers + self.displacement(self.markers, frame)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """(H, W, 3), red, green, blue."""
+        """Return the image (H, W, 3) in red, green, blue."""
         height, width = self.frame_shape
         fine = (np.arange(_SUPERSAMPLED) + 0.5) / _SUPERSAMPLED - 0.5
         x, y = ((np.arange(size)[:, None] + fine).ravel() for size in (width, height))
@@ -145,9 +145,9 @@ class MarkerGel:
 
 
 def write_gel_recording(folder: Path, gel: MarkerGel, mm_per_px: float = 0.06) -> Path:
-    """Writes frames.avi, in colour and compressed as a sensor delivers it, and scene.toml; gives the scene's path.
+    """Write frames.avi, in colour and compressed as from a sensor, and scene.toml; return the path of scene.toml.
 
-    Raises FingerflowError where the folder exists already or the video cannot be written.
+    Raises FingerflowError if the folder exists already or the video cannot be written.
     """
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")

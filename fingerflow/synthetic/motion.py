@@ -1,8 +1,8 @@
-"""How the skin moves and touches: closed forms that give the material under every position of the glass.
+"""Motion and contact of the skin in closed form: the material coordinates at every position on the glass.
 
-Only the inverse map is written down, material = phi(position, progress), so that a picture is an evaluation at its
-pixels; forward positions and all derivatives follow from it in `fingerflow.synthetic.truth`. Time enters through one
-number, the progress of the movement from 0 to 1, so that a result does not depend on how fast it happened.
+Only the inverse map is defined, material = phi(position, progress), so that an image is an evaluation at its
+pixels; forward positions and all derivatives follow from it in `fingerflow.synthetic.truth`. Time enters only as
+the progress of the movement from 0 to 1, so results do not depend on its speed.
 Positions are in mm on the glass, x right, y down.
 """
 
@@ -16,7 +16,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Ellipse:
-    """The edge of a region: centre (mm), semi-axes (mm) and the angle (rad) from x to the first axis, towards y."""
+    """Edge of a region: centre (mm), semi-axes (mm) and the angle (rad) from x to the first axis, towards y."""
 
     centre: tuple[float, float]
     semi_axes: tuple[float, float]
@@ -24,23 +24,23 @@ class Ellipse:
 
     @property
     def area(self) -> float:
-        """mm²."""
+        """Return the area in mm²."""
         return math.pi * self.semi_axes[0] * self.semi_axes[1]
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Largest distance (mm) of the edge from the centre along x and along y."""
+        """Return the largest distance (mm) of the edge from the centre along x and along y."""
         (first, second), cosine, sine = self.semi_axes, math.cos(self.angle), math.sin(self.angle)
         return math.hypot(first * cosine, second * sine), math.hypot(first * sine, second * cosine)
 
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
-        """Distance from the centre as a share of the distance to the edge in that direction: 1 on the edge."""
+        """Return the distance from the centre relative to that of the edge in the same direction: 1 on the edge."""
         along, across = self._principal(x, y)
-        # The summand is below the rounding of any position that matters; it gives the centre the gradient 0, not NaN.
+        # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre 0, not NaN.
         return torch.sqrt(along.square() + across.square() + 1e-30)
 
     def distance(self, x: Tensor, y: Tensor) -> Tensor:
-        """Distance to the edge in mm, positive inside: exact on the edge and of first order near it."""
+        """Return the distance to the edge in mm, positive inside: exact on the edge and first order near it."""
         along, across = self._principal(x, y)
         radius = torch.sqrt(along.square() + across.square() + 1e-30)
         slope = torch.sqrt((along / self.semi_axes[0]).square() + (across / self.semi_axes[1]).square() + 1e-30)
@@ -75,34 +75,34 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """What a movement must state; x, y and progress are tensors that broadcast, float32 or float64."""
+    """Interface of a movement; x, y and progress are tensors that broadcast, float32 or float64."""
 
-    #: Into how many steps of progress the search for the onset must be cut so that each holds one entry at most.
+    #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Material coordinates (mm) of the skin that is at (x, y)."""
+        """Return the material coordinates (mm) of the skin at (x, y)."""
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        """Positive inside the gross contact, 0 on its edge, negative outside; dimensionless."""
+        """Return the dimensionless depth: positive inside the apparent contact, 0 on its edge, negative outside."""
 
     def ellipse(self, progress: float) -> Ellipse | None:
-        """The gross contact, or None where nothing touches."""
+        """Return the apparent contact, or None where nothing touches."""
 
 
 @dataclass(frozen=True)
 class PressMotion:
-    """A contact that grows from a point to `contact` while the skin spreads by `field`.
+    """A contact that grows from a point to `contact` while the skin spreads by `gradient`, `shift` and `bumps`.
 
-    Progress is the length of the contact as a share of its final length. Its area grows with the square root of the
-    force, the displacement of the skin with the force itself, so with progress⁴:
+    Progress is the length of the contact as a share of its final length. Contact area grows with the square root of the
+    force and skin displacement with the force itself, that is with progress⁴:
     material = position - progress⁴ (gradient (position - centre) + shift + bumps).
 
     Args:
-        contact: the gross contact at the end.
+        contact: the apparent contact at the end.
         gradient: ((du/dx, du/dy), (dv/dx, dv/dy)) of the uniform part: dilation, shear and rotation.
         shift: uniform displacement, mm.
-        bumps: what is not uniform.
+        bumps: non-uniform displacements.
     """
 
     contact: Ellipse
@@ -110,7 +110,7 @@ class PressMotion:
     shift: tuple[float, float]
     bumps: tuple[Bump, ...]
 
-    # The contact outruns the skin, so a point that is inside stays inside.
+    # The contact grows faster than the skin spreads, so a point that is inside stays inside.
     entry_steps = 1
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -138,10 +138,10 @@ class SlideMotion:
     """A contact of constant size that is pulled along `direction`: it peels from the rim, then slides as a whole.
 
     Until `full_slip` (a progress) the stuck ellipse, `stuck_radius` times the contact, shrinks to nothing while the
-    rim slips by up to `creep` mm; then contact and skin travel `travel` mm together. With r the relative radius in the
+    rim slips by up to `creep` mm. Then contact and skin travel `travel` mm together. With r the relative radius in the
     contact, material = position - direction (creep q (1 - exp(-((r - stuck_radius) / 0.6)²)) + travelled) outside the
-    stuck ellipse and = position inside it, q = progress / full_slip up to 1. The displacement has a continuous
-    gradient.
+    stuck ellipse and position - direction travelled inside it, q = progress / full_slip up to 1. The displacement has a
+    continuous gradient.
     """
 
     contact: Ellipse
@@ -150,15 +150,15 @@ class SlideMotion:
     travel: float
     full_slip: float
 
-    # Skin can enter at the rear and leave at the front: a stay shorter than 1/64 of the movement is overlooked.
+    # Skin can enter and leave the contact: a stay shorter than 1/64 of the movement may be missed.
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Length of the stuck ellipse as a share of the contact's; its square is the relative stuck area d²."""
+        """Return the length of the stuck ellipse relative to the contact; its square is the relative stuck area d²."""
         return 1 - self._peeling(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """How far contact and skin have gone together, mm."""
+        """Return the common travel of contact and skin, mm."""
         return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -178,7 +178,10 @@ class SlideMotion:
         return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
-        """Relative radius inside which the skin has moved by less than `limit` mm since the start; 0 where none has."""
+        """Return the relative radius inside which the skin has moved by less than `limit` mm since the start.
+
+        It is 0 where no skin has moved less, and infinite where all has.
+        """
         at = torch.tensor(progress, dtype=torch.float64)
         travelled, creep = float(self.travelled(at)), self.creep * float(self._peeling(at))
         if travelled >= limit:

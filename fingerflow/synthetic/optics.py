@@ -1,4 +1,4 @@
-"""What light makes of skin and glass: the grey levels of both views, in 8-bit levels above the camera's dark level."""
+"""Optics of skin and glass: the grey levels of both views, in 8-bit levels above the camera's dark level."""
 
 from dataclasses import dataclass
 
@@ -8,40 +8,40 @@ from torch import Tensor
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.skin import Skin
 
-#: Grey levels of a surface lit in full: the mean of the skin in the grazing light, what ridges add or take there, and
-#: the glass in the bright field.
+#: Grey levels at full illumination: mean of the skin in the grazing light, amplitude of the ridges there, and the glass
+#: in the bright field.
 SKIN_LEVEL, RIDGE_LEVEL, GLASS_LEVEL = 100.0, 95.0, 178.0
-#: Share of the bright field that a touching ridge takes, and the skin between the ridges.
+#: Share of the bright field lost at a touching ridge, and at the skin between the ridges.
 CONTACT_LOSS, VALLEY_LOSS = 0.5, 0.04
 #: Width (mm) of the logistic blur of an edge in focus, of the finger's outline and of the rim of the lit disc.
 #: In focus it is 0.35 px, close to a Gaussian of standard deviation 0.6 px.
 EDGE_WIDTH, OUTLINE_WIDTH, DISC_WIDTH = 0.0114, 0.4, 0.2
-#: Distance (mm) from the edge of the contact beyond which there is nothing but glass: its blur is down to 1e-15.
+#: Distance (mm) from the edge of the contact beyond which only glass is visible: its blur has fallen to 1e-15.
 GLASS_FROM = 0.4
 
 
 @dataclass(frozen=True)
 class Lights:
-    """The lamps, fixed in space: they do not move with the skin.
+    """Lamps, fixed in space: they do not move with the skin.
 
     Args:
-        size: width and height (mm) of what the contact view shows.
+        size: width and height (mm) of the contact view.
     """
 
     size: tuple[float, float]
 
     def grazing(self, x: Tensor, y: Tensor) -> Tensor:
-        """Grazing light at positions in mm, 1 where it is brightest: it comes from the left and fades to the right."""
+        """Return the grazing light at positions in mm, 1 at its brightest; it fades from left to right."""
         width, height = self.size
         return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
 
     def stray(self, x: Tensor, y: Tensor) -> Tensor:
-        """Grey levels of the topography view without a finger."""
+        """Return the grey levels of the topography view without a finger."""
         width, height = self.size
         return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
     def bright_field(self, x: Tensor, y: Tensor) -> Tensor:
-        """Grey levels of the contact view without a finger: an uneven disc that leaves the corners black."""
+        """Return the grey levels of the contact view without a finger: an uneven disc that leaves the corners black."""
         width, height = self.size
         radius = 0.47 * height
         disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
@@ -50,7 +50,7 @@ class Lights:
 
 
 def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
-    """Skin with material coordinates (x, y) under the grazing light, over what the glass shows without it.
+    """Return the grey levels of skin at material coordinates (x, y) under grazing light, plus the stray light.
 
     The outline of the finger is in material coordinates: like the ridges it moves with the skin.
     """
@@ -59,9 +59,9 @@ def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: T
 
 
 def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
-    """Bright field darkened by contact; margins are distances (mm) to the edge of ridge and gross contact, > 0 inside.
+    """Return the bright field darkened by contact; margins are distances (mm) to the ridge and apparent contact edge.
 
-    The level half-way between ridge and valley lies on the edge of the real contact.
+    Margins are positive inside. The level half-way between ridge and valley lies on the edge of the real contact.
     """
     touching = torch.sigmoid_(torch.minimum(ridge_margin, gross_margin).div_(EDGE_WIDTH))
     skin = torch.sigmoid(gross_margin / EDGE_WIDTH).mul_(VALLEY_LOSS)

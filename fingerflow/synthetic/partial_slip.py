@@ -1,4 +1,4 @@
-"""A trial of tangential loading: T ramps up under a constant N until the stuck part of the contact is lost."""
+"""A trial of tangential loading: T ramps up under a constant N until the whole contact slips."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,32 +13,32 @@ from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
 _STEEPEST = 1.5  # slope of `_rising` at its steepest
-_MOST_STRETCH = 0.5  # that jumps add
+_MOST_STRETCH = 0.5  # largest stretch that jumps may add
 _BISECTIONS = 60
-_ROUNDED = 0.1  # relative radius over which the skin beside the stuck part takes up its stretch
+_ROUNDED = 0.1  # relative radius over which the stretch builds up beside the stick region
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip(Slide):
-    """A slide that its load drives: T/N rises evenly, and the stuck part is what the model leaves at that load.
+    """A slide driven by its load: T/N rises linearly, and the stick region is that of the model at this load.
 
-    d² follows equation 5 of Terekhov & Hayward (2011) up to the critical load. Where the kinetic friction is the
-    smaller one, the critical area then collapses at constant load, evenly in time; else it has faded to nothing. From
-    then on contact and skin travel together, and T/N falls to mu_k within the time of a collapse. The truth of a frame
-    is `stuck_share`, d²; `slow_share`, what a limit of displacement takes for it; and `truth`, where each point is.
+    d² follows equation 5 of Terekhov & Hayward (2011) up to the critical load. If kinetic friction is the smaller one,
+    the critical area then collapses at constant load, linearly in time; otherwise it has faded to nothing. From then on
+    contact and skin travel together, and T/N falls to mu_k within `collapse`. The truth of a frame is `stuck_share`,
+    d²; `slow_share`, the estimate of d² by a displacement limit; and `truth`, the position of each point.
 
-    Settings are those of `Slide`; here `creep` is how far skin at the rim of the contact has gone when nothing is stuck
-    any more: about its stretch along the pull (0.2 by default) times a semi-axis.
+    Settings are those of `Slide`. Here `creep` is the displacement of the skin at the rim of the contact when nothing
+    sticks any more: about its stretch along the pull (0.2 by default) times a semi-axis.
 
     Args:
         collapse: s from the critical area to none.
         jumps: s at which skin jumps along the pull from one frame to the next, as in stick-slip. Before full slip only
-            skin that slips does: from nothing at the border of the stuck part to `jump` at the rim and beyond. After
+            slipping skin jumps: by 0 at the border of the stick region, rising to `jump` at the rim and beyond. After
             it contact and skin jump together.
         jump: mm of one jump; 5 px of the contact view are 0.1625 mm.
 
     Raises:
-        ValueError: a jump before the pull begins, or while the annulus that slips is too narrow to be stretched by it.
+        ValueError: a jump before the pull begins, or while the slipping annulus is too narrow for the stretch.
     """
 
     n_frames: int = 300
@@ -92,19 +92,19 @@ class PartialSlip(Slide):
 
 @dataclass(frozen=True)
 class PartialSlipMotion(SlideMotion):
-    """A `SlideMotion` whose stuck ellipse has the area of the model, its load even in progress up to `loaded`.
+    """A `SlideMotion` whose stuck ellipse has the model's area; its load is linear in progress up to `loaded`.
 
-    With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has gone
-    creep (f(r - s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below: from the border of the stuck part
-    it takes up an even stretch, and beyond the contact it moves as one. Nothing has moved where s = 1. Jumps before
-    full slip add `jump` g((r - s) / (1 - s)) each, g rising from 0 to 1 as 3 x² - 2 x³.
+    With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has moved by creep (f(r -
+    s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below. From the border of the stick region the skin
+    takes up a uniform stretch, and beyond the contact it moves rigidly. Nothing has moved where s = 1. Each jump before
+    full slip adds `jump` g((r - s) / (1 - s)), g rising from 0 to 1 as 3 x² - 2 x³.
 
     Args:
         static_friction: mu_s.
         kinetic_friction: mu_k.
         loaded: progress at which the critical load is reached.
         jumps: progress of each jump.
-        jump: how far each goes, mm.
+        jump: length of each, mm.
     """
 
     static_friction: float
@@ -114,7 +114,7 @@ class PartialSlipMotion(SlideMotion):
     jump: float = 0.0
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """How far contact and skin have gone together, mm, jumps among it."""
+        """Return the common travel of contact and skin, mm, including jumps after full slip."""
         result = super().travelled(progress)
         for at in self.jumps:
             if at >= self.full_slip:
@@ -122,12 +122,12 @@ class PartialSlipMotion(SlideMotion):
         return result
 
     def leapt(self, progress: Tensor) -> Tensor:
-        """How far the rim has jumped before full slip, mm."""
+        """Return the sum of the rim's jumps before full slip, mm."""
         count = sum(((progress >= at).to(progress.dtype) for at in self.jumps if at < self.full_slip), 0 * progress)
         return self.jump * count
 
     def load_ratio(self, progress: Tensor) -> Tensor:
-        """T/N while any part is stuck, float64."""
+        """Return T/N while any part sticks, float64."""
         critical = critical_load_ratio(self.static_friction, self.kinetic_friction)
         return critical * (progress.double() / self.loaded).clamp(max=1)
 
@@ -137,7 +137,7 @@ class PartialSlipMotion(SlideMotion):
         if self.loaded < self.full_slip:
             left = (self.full_slip - progress.double()) / (self.full_slip - self.loaded)
             area = torch.where(left < 1, critical_stuck_area(*friction) * left.clamp(min=0), area)
-        # Below, a root has no slope to derive the motion with.
+        # Near 0 the square root has no finite slope with which to differentiate the motion.
         return torch.where(area > 1e-12, area.clamp(min=1e-12).sqrt(), 0.0).to(progress.dtype)
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -147,7 +147,7 @@ class PartialSlipMotion(SlideMotion):
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
     def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
-        """How far skin has gone beside what has travelled with the contact, mm."""
+        """Return the slip of the skin beyond the common travel with the contact, mm."""
         crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
         return crept + leapt * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 
@@ -156,7 +156,7 @@ class PartialSlipMotion(SlideMotion):
         left = limit - float(self.travelled(at))
         if left <= 0:
             return 0.0
-        # Outwards the displacement grows. In the contact alone: the skin around it moves as one.
+        # The displacement grows outwards. Only within the contact: the skin around it moves rigidly.
         stuck, leapt = self.stuck_radius(at), self.leapt(at)
         low, high = float(stuck), 1.0
         for _ in range(_BISECTIONS):

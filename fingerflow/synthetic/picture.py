@@ -1,4 +1,4 @@
-"""Skin from a picture of a fingerprint: a spline through its pixels, which is exact at every real-valued position."""
+"""Skin from an image of a fingerprint: a spline through its pixels, defined at every real-valued position."""
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -20,24 +20,25 @@ Plane = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=SyntheticScene)
 
 MM_PER_INCH = 25.4
-#: Resolution (dots an inch) of most sensors of fingerprints.
+#: Resolution (dots per inch) of most fingerprint sensors.
 DPI = 500.0
-#: Distances of ridges (mm) that skin can have, from a child's finger to a broad thumb with room to spare.
+#: Possible ridge distances of skin (mm), from a child's finger to a broad thumb with a margin.
 RIDGE_DISTANCES = (0.25, 0.8)
-#: Blur (px) of the picture, so that its pixels and their noise are not seen in a finer camera.
+#: Blur (px) of the image, so that its pixels and their noise are not visible in a finer camera.
 BLUR = 0.7
-#: What surrounds the picture, in its pixels.
+#: Width of the constant border around the image, in its pixels.
 SURROUND = 8
-#: Share of the contrast between glass and ridges that a pixel must be darker than the glass to touch at all.
+#: A touching pixel is darker than the glass by at least this share of the contrast between glass and ridges.
 LEAST = 0.35
-#: Slope of the level of touching, in 1/mm, under which a distance is no longer taken from it.
+#: Slope of `Levels.touching` (1/mm) below which it no longer gives a distance.
 LEAST_SLOPE = 1.0
 
 
 class Levels(NamedTuple):
-    """Coefficients (rows, columns) of cubic splines over a picture and its surround; the picture's rows and columns.
+    """Coefficients (rows, columns) of cubic splines over an image and its border, and the image's shape.
 
-    `contrast` is the skin's, `touching` is positive where it touches: 1 from ridge to glass.
+    `contrast` is the skin's; `touching`, positive where the skin touches, is scaled so that ridge and glass differ by
+    1.
     """
 
     contrast: Tensor
@@ -47,23 +48,23 @@ class Levels(NamedTuple):
 
 @dataclass(frozen=True)
 class PictureTexture:
-    """The skin of a print in a picture, dark where ridges touch on bright glass, as optical sensors deliver it.
+    """Skin from an image of a fingerprint, with dark touching ridges on bright glass as optical sensors deliver it.
 
-    The picture, freed of uneven light and pressure within a ridge's distance and blurred by 0.7 of its pixels, is
+    The image is corrected for uneven light and pressure within a ridge distance, blurred by 0.7 of its pixels and
     interpolated by a cubic spline, so grey level and contact are known everywhere and twice continuously
-    differentiable. Ridges touch where they are darker than their surroundings, so gaps, pores and dirt are those of the
-    picture, and so is the share of the skin that touches. Where the picture is blank, and beyond it, the skin is smooth
-    and never touches.
+    differentiable. Ridges touch where they are darker than their surroundings, so gaps, pores, dirt and the share of
+    the skin that touches are those of the image. Where the image is blank, and beyond it, the skin is smooth and never
+    touches.
 
     Args:
         picture: any file that OpenCV reads.
-        dpi: pixels of the picture an inch.
-        centre: where the middle of the picture lies, mm.
-        border: how much of the contrast from ridge to glass touches no longer at the edge of the contact.
-        border_width: over which distance (mm) from the edge it falls to 1/e.
+        dpi: pixels of the image per inch.
+        centre: position of the image's centre, mm.
+        border: loss of contact level at the edge of the contact, as a share of the contrast from ridge to glass.
+        border_width: distance (mm) from the edge over which that loss falls to 1/e.
 
     Raises:
-        FingerflowError: the picture cannot be read, has no ridges, or they are not those of skin at this resolution.
+        FingerflowError: the image cannot be read, has no ridges, or they are not those of skin at this resolution.
     """
 
     picture: Path
@@ -78,39 +79,39 @@ class PictureTexture:
 
     @property
     def mm_per_px(self) -> float:
-        """Of the picture."""
+        """Return the pixel size of the image, mm."""
         return MM_PER_INCH / self.dpi
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of the picture, mm, between the centres of its outermost pixels."""
+        """Return width and height of the image, mm, between the centres of its outermost pixels."""
         rows, columns = self._levels.shape
         return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
         value, _, _ = _spline(self._levels.contrast, *self._pixels(x, y))
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """As of `Skin`; the share that touches is the picture's, not the one that is asked for."""
+        """Return the margin as defined by `Skin`; the share that touches is the image's, ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Column and row of positions (mm), counted in pixels of the picture with its surround."""
+        """Return column and row of positions (mm), in pixels of the image with its border."""
         rows, columns = self._levels.shape
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """A press or slide of the finger in a picture, as near the middle of its print as the contact fits in.
+    """Return a press or slide of the finger in an image, as near the centre of its print as the contact fits in.
 
     Raises:
-        FingerflowError: as of `PictureTexture`, or the picture is smaller than the skin that comes into contact.
+        FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
     """
     texture = PictureTexture(Path(picture), dpi)
     plain = kind()
@@ -133,7 +134,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
 
 
 def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
-    """Material positions (64, 2) in mm under the edge of the gross contact; none (0, 2) before it."""
+    """Return material positions (64, 2) in mm under the edge of the apparent contact; none (0, 2) before contact."""
     ellipse = scene.truth.ellipse(frame)
     if ellipse is None:
         return np.zeros((0, 2))
@@ -143,7 +144,7 @@ def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
 
 
 def _middle(texture: PictureTexture) -> Plane:
-    """Centre (x, y) in mm of the ridges in a picture whose middle is at 0."""
+    """Return the centre (x, y) in mm of the ridges in an image whose own centre is at 0."""
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
@@ -175,7 +176,7 @@ def _levels(picture: Path, dpi: float) -> Levels:
     dark = np.quantile(plane, 0.03)
     contrast = np.maximum(glass - dark, 0.2 * (glass.max() - dark) + 1e-9)
     touching = (np.minimum(mean, glass - LEAST * contrast) - plane) / contrast
-    # A sine has the amplitude of 1.4 times its deviation; a blank part keeps less of its noise.
+    # A sine's amplitude is 1.4 times its standard deviation; the added constant attenuates noise in blank parts.
     full = np.quantile(spread, 0.8)
     skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
     skin *= _fading(plane.shape[0], period)[:, None] * _fading(plane.shape[1], period)
@@ -183,19 +184,19 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _fading(count: int, period: float) -> Plane:
-    """0 at both ends of a row of pixels and 1 from one distance of ridges on: no edge where the picture ends."""
+    """Return a window over a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """The brightest level within a ridge's distance: that of glass or of a valley."""
+    """Return the brightest level within a ridge distance: that of glass or of a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:
-    """Distance of ridges in pixels: the peak of the power over the rings of the spectrum, from 4 to 40 px."""
+    """Return the ridge distance in pixels: the peak of the spectrum's power over rings, from 4 to 40 px."""
     flat = plane - gaussian_filter(plane, 12.0)
     if flat.std() < 1e-3 * max(np.ptp(plane), 1.0):
         raise FingerflowError(f"{picture} shows no ridges; give a picture of a fingerprint")
@@ -209,13 +210,16 @@ def _ridge_distance(plane: Plane, picture: Path) -> float:
 
 
 def _coefficients(plane: Plane, outside: float) -> Tensor:
-    """Coefficients of the cubic spline through a plane, surrounded by a constant."""
+    """Return the coefficients of the cubic spline through a plane with a constant border."""
     around = np.pad(plane, SURROUND, constant_values=outside)
     return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
 
 
 def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Value of a cubic spline at positions in px, and its derivatives by column and row (1/px); constant beyond it."""
+    """Return a cubic spline's value at positions in px and its derivatives by column and row (1/px).
+
+    Beyond the spline its value at the border is used.
+    """
     rows, columns = coefficients.shape
     flat = coefficients.to(column.dtype).flatten()
     column, row = column.clamp(1, columns - 2 - 1e-3), row.clamp(1, rows - 2 - 1e-3)

@@ -14,8 +14,8 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 class Press(SyntheticScene):
     """A press with a force that rises as sin² to its maximum and stays there.
 
-    The area of the contact grows with the square root of the force, the displacement of the skin with the force, so
-    that late loading spreads skin that touches already. The default settings give a divergence of about 12 % at the
+    Contact area grows with the square root of the force and skin displacement with the force itself, so
+    late loading spreads skin that touches already. The default settings give a divergence of about 12 % at the
     centre and a global displacement of a few pixels. Settings that all scenes share are those of `SyntheticScene`;
     lengths in mm, angles in rad, times in s, forces in N.
 
@@ -23,7 +23,7 @@ class Press(SyntheticScene):
         force: at the end.
         contact_time: first contact, counted from the trigger.
         rise_time: from first contact to the full force.
-        semi_axes: of the gross contact at the end.
+        semi_axes: of the apparent contact at the end.
         tilt: angle from x to its first semi-axis, towards y.
         gradient: ((du/dx, du/dy), (dv/dx, dv/dy)) of the uniform part of the displacement by the final position.
         shift: uniform part of the displacement at the end.

@@ -2,14 +2,13 @@
 
 The orientation is the zero-pole model of Sherlock & Monro (1993): ridges run along Q(z)^(1/2) dz = real, where Q is 1
 far away, has a pole at each core and a zero at each delta. With v = Im integral Q^(1/2) dz, cos(k v) has such ridges
-for any k, but their distance grows as |Q|^(-1/2), where that of skin is constant. So several such waves share the
-plane, each where its ridges have about the right distance. Where two of them meet there are more ridges on one side
-than on the other: their sum has phase singularities, which are the endings and bifurcations of the AM-FM model of
-Larkin & Fletcher (2007), and its amplitude falls to 0 there, so that the ridges are differentiable without an
-exception for them.
+for any k, but their distance grows as |Q|^(-1/2), whereas that of skin is constant. So several such waves share the
+plane, each where its ridges have about the right distance. Where two of them meet, one side has more ridges than the
+other, and their sum has phase singularities. These are the endings and bifurcations of the AM-FM model of
+Larkin & Fletcher (2007). The sum's amplitude falls to 0 there, so the ridges are differentiable there too.
 
-Around a core or a delta v changes its sign, which cos(k v) does not feel: every branch of the roots is good. Around the
-delta of a loop v changes by pi Re(delta) as well, so that the wave numbers must be multiples of 2 / Re(delta) there.
+Around a core or a delta v changes its sign, which leaves cos(k v) unchanged: every branch of the roots is valid. Around
+the delta of a loop v also changes by pi Re(delta), so the wave numbers must be multiples of 2 / Re(delta) there.
 """
 
 import cmath
@@ -22,30 +21,30 @@ from torch import Tensor
 
 #: Ratio of the wave numbers of two waves that meet: about a fifth of the ridges ends on the line between them.
 RATIO = 1.22
-#: A wave reaches so far, counted in distances (of log wave numbers) from one wave to the next; at most 1.5.
+#: Reach of a wave, in units of the distance between log wave numbers of successive waves; at most 1.5.
 REACH = 1.3
-#: Nearer than this (mm) to a core the frequency of the model, which has no limit, is followed no longer.
+#: Distance (mm) from a core below which the model's frequency, which is unbounded, is limited.
 CORE = 0.45
-#: Share of the full amplitude at which the equalisation of the sum's amplitude lets go: the size of a singularity.
+#: Share of the full amplitude below which the sum's amplitude is no longer equalised: the size of a singularity.
 FLOOR = 0.15
 
-#: v (mm) at positions from the core (mm), and how much denser than far away its levels are.
+#: Function from positions relative to the core (mm) to v (mm) and the density of its levels relative to far away.
 Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """An orientation field; `step` (rad/mm) is the unit of its wave numbers, 0 where any will do."""
+    """An orientation field; `step` (rad/mm) is the unit of its wave numbers, 0 where any wave number is allowed."""
 
     levels: Levels
     step: float
 
 
 def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Height of the ridges inside (-1, 1), 1 on a crest, at positions (x, y) in mm from the core.
+    """Return the height of the ridges inside (-1, 1), 1 on a crest, at positions (x, y) in mm from the core.
 
     Args:
         pattern: the orientation field.
-        wave_number: what is wanted at each position, rad/mm: 2 pi over the distance of ridges.
+        wave_number: desired at each position, rad/mm: 2 pi over the ridge distance.
     """
     level, density = pattern.levels(x, y)
     spacing = math.log(RATIO)
@@ -54,7 +53,7 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
     even, odd, total = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
     for offset in (-1, 0, 1):
         number = nearest + offset
-        # Twice continuously differentiable, so that where a wave ends is not seen.
+        # Twice continuously differentiable, so that the end of a wave is not visible.
         weight = (1 - ((wanted - number) / REACH).square()).clamp(min=0) ** 3
         k = torch.exp(number * spacing)
         if pattern.step:
@@ -65,7 +64,7 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
 
 
 def arch() -> Pattern:
-    """Ridges from side to side that rise over the middle."""
+    """Return a pattern of ridges from side to side that rise over the middle."""
     height, width, reach = 2.2, 2.4, 4.0
 
     def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -77,7 +76,7 @@ def arch() -> Pattern:
 
 
 def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
-    """One core at 0 and one delta (mm): Q = (z - delta) / z.
+    """Return a pattern with one core at 0 and one delta (mm): Q = (z - delta) / z.
 
     With A² = z and B² = z - delta the integral from the core is A B - delta log((A + B) / (-delta)^(1/2)).
     """
@@ -93,21 +92,21 @@ def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
 
 
 def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
-    """Two cores in one at 0, two deltas at (+-across, down) mm: Q = (z - delta_1) (z - delta_2) / z².
+    """Return a pattern with a double core at 0 and deltas at (+-across, down) mm: Q = (z - delta_1) (z - delta_2) / z².
 
-    With w = z - i down, R² = w² - across² and h² = across² + down² the integral from a delta has the imaginary part
-    Im R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) / (across z)|. Towards the core it grows as
-    the logarithm of the distance. Rings at equal distances are levels of the Gudermannian of v / h there, an odd
-    function of v with the slope 1 at 0, where the levels through the deltas lie: the signs of v stay without effect.
+    With w = z - i down, R² = w² - across² and h² = across² + down² the integral from a delta has the imaginary part Im
+    R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) / (across z)|. Towards the core it grows as the
+    logarithm of the distance. Rings at equal distances are levels of the Gudermannian of v / h there. That is an odd
+    function of v with slope 1 at 0, where the levels through the deltas lie: the sign of v has no effect.
     """
     far = math.hypot(across, down)
 
     def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        # A core off every pixel by a millionth of a mm: the logarithm of 0 is not asked for.
+        # The core is shifted by a millionth of a mm off every pixel, which avoids the logarithm of 0.
         z = torch.complex(x + 1e-6, y + 1e-6)
         w = z - 1j * down
         root = torch.sqrt(w - across) * torch.sqrt(w + across)
-        # Of the two branches the one in which nothing cancels near the core.
+        # Choose the branch without cancellation near the core.
         steady, turning = -1j * down * w - across**2, 1j * far * root
         root = torch.where((steady * turning.conj()).real < 0, -root, root)
         turn = steady + 1j * far * root

@@ -1,4 +1,4 @@
-"""What every scene of a fingertip in the layout of the rig shares: pictures, forces and the truth behind them."""
+"""Base of all synthetic fingertip scenes in the rig's layout: images, forces and their truth."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
 class SyntheticForces(NamedTuple):
-    """Samples at 10 kHz of one clock with the frames: s, N, N and the trigger in V, which rises at 0 s."""
+    """Force samples at 10 kHz, on the frames' clock: time in s, two forces in N, trigger in V, which rises at 0 s."""
 
     time: Array
     normal_force: Array
@@ -42,13 +42,13 @@ class SyntheticScene:
 
     Args:
         n_frames: frames of the recording.
-        frame_rate: frames a second.
-        frames_before_trigger: how many of them have a negative time.
+        frame_rate: frames per second.
+        frames_before_trigger: number of frames with a negative time.
         frame_shape: rows and columns of a frame.
         mm_per_px: of the contact view.
         topography_to_contact: 2 x 3 affine map from pixels of the topography view to pixels of the contact view.
         texture: the skin; its centre is counted from the centre of the contact.
-        contact_fraction: share of the gross contact in which ridges touch.
+        contact_fraction: share of the apparent contact in which ridges touch.
         finger: semi-axes of the visible finger.
         camera: noise and bit depth.
         force_noise: standard deviation of a sample of the force sensors, white.
@@ -73,12 +73,12 @@ class SyntheticScene:
 
     @property
     def times(self) -> Array:
-        """Time of each frame, s: 0 at the trigger."""
+        """Return the time of each frame, s: 0 at the trigger."""
         return (np.arange(self.n_frames) - self.frames_before_trigger) / self.frame_rate
 
     @property
     def views(self) -> dict[str, View]:
-        """Where the "topography" and the "contact" view lie in a frame."""
+        """Return the parts of a frame that hold the "topography" and the "contact" view."""
         rows, columns = self.frame_shape
         return {
             "topography": View(rows=(0, rows), columns=(0, columns // 2)),
@@ -87,7 +87,7 @@ class SyntheticScene:
 
     @cached_property
     def truth(self) -> Truth:
-        """What a pipeline should find."""
+        """Return the ground truth for a pipeline."""
         return Truth(
             motion=self.motion,
             progress=self.progress(self.times),
@@ -99,30 +99,30 @@ class SyntheticScene:
         )
 
     def render(self, frame: int) -> NDArray[np.integer]:
-        """A frame (H, W) as the camera delivers it: the same whenever and in whatever order it is asked for."""
+        """Return a frame (H, W) as the camera delivers it; deterministic and independent of the order of calls."""
         clean = torch.from_numpy(self.render_clean(self._checked(frame)))
         return self.camera.read_out(clean, frame, defects=self.views["contact"])
 
     def render_clean(self, frame: int, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
-        """A frame (H, W) in grey levels of the camera without noise and rounding."""
+        """Return a frame (H, W) in grey levels of the camera without noise and rounding."""
         progress = torch.tensor(self.progress(self.times)[self._checked(frame)], dtype=dtype)
         return self._picture(progress, dtype)
 
     def empty_clean(self, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
-        """The glass without a finger (H, W), in grey levels of the camera without noise and rounding."""
+        """Return the glass without a finger (H, W), in grey levels of the camera without noise and rounding."""
         return self._picture(None, dtype)
 
     def empty(self, picture: int = 0) -> NDArray[np.integer]:
-        """The glass without a finger (H, W) as the camera delivers it; each number has its own noise."""
+        """Return the glass without a finger (H, W) as the camera delivers it; each number has its own noise."""
         clean = torch.from_numpy(self.empty_clean())
         return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
 
     def dark(self, picture: int = 0) -> NDArray[np.integer]:
-        """A frame without light; each number has its own noise."""
+        """Return a frame without light; each number has its own noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
     def forces(self) -> SyntheticForces:
-        """The force sensors from the first frame to the last, with their noise."""
+        """Return the force sensors' samples from the first frame to the last, with their noise."""
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
         noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
@@ -136,34 +136,34 @@ class SyntheticScene:
 
     @property
     def motion(self) -> SkinMotion:
-        """The movement as a function of its progress."""
+        """Return the movement as a function of its progress."""
         raise NotImplementedError
 
     def progress(self, time: Array) -> Array:
-        """Progress of the movement, 0 to 1, at times in s."""
+        """Return the progress of the movement, 0 to 1, at times in s."""
         raise NotImplementedError
 
     def time_of(self, progress: Array) -> Array:
-        """Time in s at which a progress is reached."""
+        """Return the time in s at which a progress is reached."""
         raise NotImplementedError
 
     def normal_force(self, time: Array) -> Array:
-        """Force on the glass at times in s, N."""
+        """Return the force normal to the glass at times in s, N."""
         raise NotImplementedError
 
     def tangential_force(self, time: Array) -> Array:
-        """Force along the glass at times in s, N."""
+        """Return the force along the glass at times in s, N."""
         raise NotImplementedError
 
     @property
     def contact_centre(self) -> tuple[float, float]:
-        """Where the contact begins, mm."""
+        """Return the position at which the contact begins, mm."""
         rows, columns = self.views["contact"].shape
         return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
 
     @cached_property
     def skin(self) -> Skin:
-        """The texture in material coordinates."""
+        """Return the texture in material coordinates."""
         (x, y), (right, down) = self.contact_centre, self.texture.centre
         return replace(self.texture, centre=(x + right, y + down))
 
@@ -171,7 +171,7 @@ class SyntheticScene:
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
-        """A whole frame without noise; progress None is the glass without a finger."""
+        """Return a whole frame without noise; progress None is the glass without a finger."""
         topography_planes, contact_planes = _fixed_planes(self, dtype)
         views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
         return self.camera.expose(torch.cat(views, dim=1)).numpy()
@@ -195,7 +195,7 @@ class SyntheticScene:
         return view
 
     def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
-        """Rows and columns of the contact view that are not all glass."""
+        """Return rows and columns of the contact view outside of which there is only glass."""
         ends = zip(ellipse.centre, ellipse.reach, strict=True)
         right, down = (
             slice(
@@ -214,9 +214,9 @@ class SyntheticScene:
 
 @lru_cache(maxsize=4)
 def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """What no frame changes, (H, W) each: x, y, grazing and stray light of the topography; x, y, light of the contact.
+    """Return the planes common to all frames, (H, W): topography x, y, grazing and stray light; contact x, y and light.
 
-    They are worked out in float64 and rounded once.
+    They are computed in float64 and rounded once.
     """
     rows, columns = scene.views["contact"].shape
     lights = optics.Lights(size=(columns * scene.mm_per_px, rows * scene.mm_per_px))

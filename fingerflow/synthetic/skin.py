@@ -1,4 +1,4 @@
-"""What a scene needs to know about skin."""
+"""Interface of skin to a scene."""
 
 from typing import Any, ClassVar, Protocol
 
@@ -15,16 +15,16 @@ class Skin(Protocol):
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Where the core or the middle of the skin lies, mm."""
+        """Return the position of the skin's core or centre, mm."""
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """How far inside a touching ridge, mm: > 0 where the skin touches; exact in sign, else of first order.
+        """Return the distance (mm) inside a touching ridge, > 0 where skin touches; exact in sign, else first order.
 
         Args:
             x, y: material positions, mm.
             share: of the skin that touches.
-            depth: distance (mm) to the edge of the gross contact, positive inside.
+            depth: distance (mm) to the edge of the apparent contact, positive inside.
         """

@@ -13,22 +13,22 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 @dataclass(frozen=True, kw_only=True)
 class Slide(SyntheticScene):
-    """A slide: the stuck part shrinks from the rim to nothing, then skin and contact travel together.
+    """A slide: the stick region shrinks from the rim to nothing, then skin and contact travel together.
 
-    The contact is there from the first frame; the pull begins at the trigger. The tangential force is the one of
-    Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the relative stuck area d² of the moment.
+    The contact exists from the first frame; the pull begins at the trigger. The tangential force is that of
+    Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the current relative stuck area d².
     Settings that all scenes share are those of `SyntheticScene`; lengths in mm, angles in rad, times in s, forces in N.
 
     Args:
         force: normal force.
         static_friction: mu_s.
         kinetic_friction: mu_k.
-        semi_axes: of the gross contact.
+        semi_axes: of the apparent contact.
         tilt: angle from x to its first semi-axis, towards y.
         direction: angle of the pull from x, towards y.
-        creep: displacement of the skin far from the stuck part before the contact slips as a whole.
-        travel: way of the whole contact from then to the last frame.
-        full_slip: when that happens, as a share of the time from the trigger to the last frame.
+        creep: displacement of the skin far from the stick region before the contact slips as a whole.
+        travel: displacement of the whole contact from then to the last frame.
+        full_slip: time of full slip, as a share of the time from the trigger to the last frame.
     """
 
     force: float = 2.0
@@ -43,7 +43,7 @@ class Slide(SyntheticScene):
 
     @cached_property
     def motion(self) -> SlideMotion:
-        # Half of the travel lies on either side of the middle, where the light is.
+        # The travel is centred on the middle of the view, where the light is.
         right, down = math.cos(self.direction), math.sin(self.direction)
         x, y = self.contact_centre
         start = x - self.travel / 2 * right, y - self.travel / 2 * down
@@ -56,7 +56,7 @@ class Slide(SyntheticScene):
         return result
 
     def time_of(self, progress: Array) -> Array:
-        # What is inside before the pull was so in the first frame.
+        # Skin inside before the pull was inside in the first frame.
         return np.where(progress > 0, progress * self.times[-1], np.where(progress == 0, self.times[0], np.nan))
 
     def normal_force(self, time: Array) -> Array:
@@ -68,13 +68,13 @@ class Slide(SyntheticScene):
         return self.force * slipping * (2 * mu_s * (1 - slipping) + mu_k * slipping)
 
     def stuck_share(self, frame: int) -> float:
-        """Relative stuck area d²: the part of the contact that has not slipped at all."""
+        """Return the relative stuck area d²: the part of the contact that has not slipped at all."""
         return float(self._stuck_share(self.progress(self.times[frame])))
 
     def slow_share(self, frame: int, limit_mm: float = 0.04) -> float:
-        """Share of the contact whose skin has moved by less than a limit since the start: what a camera takes as stuck.
+        """Return the share of the contact whose skin has moved by less than a limit since the start.
 
-        The paper's limit is 40 um.
+        A camera takes this share for the stick region. The limit of Terekhov & Hayward (2011) is 40 um.
         """
         radius = self.motion.radius_of_displacement(float(self.progress(self.times[frame])), limit_mm)
         return min(radius, 1.0) ** 2

@@ -1,4 +1,4 @@
-"""Skin as a formula: ridges, pores and fine grain whose grey level is known at every real-valued position."""
+"""Skin as a formula: ridges, pores and fine grain whose grey level is defined at every real-valued position."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
 
-#: Share by which one of the three undulations changes the frequency of the ridges at most.
+#: Largest relative change of the ridges' frequency by one of the three undulations.
 UNDULATION = 0.09
 
 Mapping = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -20,12 +20,12 @@ class RidgeTexture:
     """A whorl of papillary ridges in material coordinates (mm, x right, y down), infinitely differentiable.
 
     Calling it gives a dimensionless contrast inside [-1, 1], mean close to 0 and bright on the ridges, for tensors of
-    any shape, device and floating type. It is the skin as the camera sees it: the blur of lens and pixel is part of the
-    formula, so a pixel is one evaluation at its centre. The ridges stand alone in `ridge_phase`; pores sit on their
-    crests, and plane waves over everything make every neighbourhood unique.
+    any shape, device and floating type. It is the skin as imaged by the camera: the blur of lens and pixel is part of
+    the formula, so a pixel is one evaluation at its centre. `ridge_phase` gives the ridges alone. Pores sit on their
+    crests, and superposed plane waves make every neighbourhood unique.
 
-    Spectrum: ridges run at 1.4 to 2.8 cycles/mm; with their pores and the grain all ends below 7.5 cycles/mm. At 0.0325
-    mm/px that is 0.24 cycles/px, half of the Nyquist limit.
+    Spectrum: ridges have 1.4 to 2.8 cycles/mm; with pores and grain the whole spectrum ends below 7.5 cycles/mm. At
+    0.0325 mm/px that is 0.24 cycles/px, half of the Nyquist limit.
 
     Args:
         centre: core of the whorl, mm.
@@ -51,21 +51,24 @@ class RidgeTexture:
         object.__setattr__(self, "_grain", plane_waves([0.25, 0.31, 0.39, 0.5, 0.68, 1.0], generator))
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Contrast at the material positions (x, y), in mm."""
+        """Return the contrast at the material positions (x, y), in mm."""
         ridge = torch.cos(self.ridge_phase(x, y))
         contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._pore_rows, x, y) * (self.pores / 32)
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """As of `Skin`: the same part of every ridge touches, up to the edge of the contact."""
+        """Return the margin as defined by `Skin`: the same part of every ridge touches, up to the contact's edge."""
         half_width = math.pi * share
         slope = 2 * math.pi / self.period * math.sin(half_width)
         return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
 
     def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
-        """Phase of the ridges at (x, y) in rad: 2 pi from crest to crest, so its gradient is close to 2 pi / period."""
+        """Return the phase of the ridges at (x, y) in rad, 2 pi from crest to crest.
+
+        The gradient is therefore close to 2 pi / period.
+        """
         across, along = x - self.centre[0], y - self.centre[1]
-        # An ellipse-like distance; the constant keeps it smooth at the core, where the innermost ridge is a small disc.
+        # An elliptic distance; the constant keeps it smooth at the core, where the innermost ridge is a small disc.
         distance = torch.sqrt(1.14 * across.square() + 0.86 * along.square() + 0.1)
         for wave_x, wave_y, offset in self._undulation:
             wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))
@@ -80,15 +83,15 @@ def texture_image(
     mapping: Mapping | None = None,
     dtype: torch.dtype = torch.float64,
 ) -> Tensor:
-    """The texture seen by a camera, evaluated at the exact material position of every pixel centre.
+    """Return the camera's image of a texture, evaluated at the exact material position of every pixel centre.
 
     Args:
         texture: contrast of a material position (x, y) in mm.
         shape: rows and columns.
         mm_per_px: size of a pixel; pixel (0, 0) has its centre at 0 mm.
-        mapping: material position of a position in the image, both (x, y) in mm; None where they are the same. To move
-            the picture by d, map (x, y) to (x - d_x, y - d_y).
-        dtype: of the evaluation and of the answer.
+        mapping: from position in the image to material position, both (x, y) in mm; None where they are the same. To
+            move the image by d, map (x, y) to (x - d_x, y - d_y).
+        dtype: of the evaluation and of the result.
 
     Returns:
         (1, 1, H, W) contrast.

@@ -1,11 +1,11 @@
-"""Where the skin really is, when it really touched and how it is really deformed, in float64.
+"""Ground truth of position, onset of contact and deformation of the skin, in float64.
 
 Everything follows from the inverse map phi(position, progress) of a `SkinMotion`. With F = (d phi / d position)^-1:
 
 - a material point moves by d position / d progress = -F d phi / d progress;
 - its onset solves depth(position(progress), progress) = 0. Differentiating that by the material point X gives
   grad onset = -(F^T d depth / d position) / (d depth / d progress along the point's path);
-- the place of its onset, xi = position(X, onset(X)), has d xi / dX = F + (d position / d progress) (x) grad onset at
+- its onset position, xi = position(X, onset(X)), has d xi / dX = F + (d position / d progress) (x) grad onset at
   the onset, because neighbours touch at another moment;
 - so the displacement u = position - xi has the gradient du / dxi = F (d xi / dX)^-1 - I.
 
@@ -25,16 +25,16 @@ from fingerflow.synthetic.motion import Ellipse, SkinMotion
 
 Array = NDArray[np.float64]
 
-#: Newton's iterations end when no coordinate misses by more than this (mm); rounding at 20 mm is 4e-15 mm.
+#: Newton's iterations end when no coordinate is off by more than this (mm); rounding at 20 mm is 4e-15 mm.
 TOLERANCE = 1e-13
 
 
 @dataclass(frozen=True)
 class Medians:
-    """Medians over the gross contact of one frame; NaN before contact.
+    """Medians over the apparent contact of one frame; NaN before contact.
 
-    Displacement and gradients count from the onset of each point: divergence, curl = dv/dx - du/dy and the full
-    Green-Lagrange strain (exx, eyy, exy) are dimensionless, the displacement is in mm, component by component.
+    Displacement and gradients count from the onset of each point. Divergence, curl = dv/dx - du/dy and the full
+    Green-Lagrange strain (exx, eyy, exy) are dimensionless; the displacement is in mm, its median per component.
     """
 
     divergence: float
@@ -47,14 +47,14 @@ class Medians:
 
 
 class Truth:
-    """The exact answer to what a pipeline measures in a scene.
+    """Exact values of the quantities that a pipeline measures in a scene.
 
     Args:
         motion: the movement.
         progress: of the movement at each frame, (frames,), never falling.
         time_of: the time (s) at which a progress was reached.
         touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance
-            (mm) from the edge of the gross contact, positive inside.
+            (mm) from the edge of the apparent contact, positive inside.
         mm_per_px: of the contact view.
         contact_shape: rows and columns of the contact view.
         topography_to_contact: 2 x 3, from pixels of the topography view to pixels of the contact view.
@@ -81,65 +81,65 @@ class Truth:
     # Views
 
     def contact_pixels(self, positions: ArrayLike) -> Array:
-        """Pixels of the contact view (..., 2) that show positions (..., 2) in mm."""
+        """Return the pixels of the contact view (..., 2) at positions (..., 2) in mm."""
         return np.asarray(positions, dtype=np.float64) / self._mm_per_px
 
     def contact_positions(self, pixels: ArrayLike) -> Array:
-        """Positions in mm under pixels of the contact view."""
+        """Return the positions in mm at pixels of the contact view."""
         return np.asarray(pixels, dtype=np.float64) * self._mm_per_px
 
     def topography_pixels(self, positions: ArrayLike) -> Array:
-        """Pixels of the topography view (..., 2) that show positions (..., 2) in mm."""
+        """Return the pixels of the topography view (..., 2) at positions (..., 2) in mm."""
         return (self.contact_pixels(positions) - self._offset) @ np.linalg.inv(self._matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
-        """Positions in mm under pixels of the topography view."""
+        """Return the positions in mm at pixels of the topography view."""
         return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ self._matrix.T + self._offset)
 
     # Motion
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
-        """Material coordinates (mm) of the skin at positions (..., 2) in a frame."""
+        """Return material coordinates (mm) of the skin at positions (..., 2) in a frame."""
         x, y = _points(positions).unbind(-1)
         return torch.stack(self._motion.material(x, y, self._at(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
-        """Positions (mm) of material points (..., 2) in a frame."""
+        """Return positions (mm) of material points (..., 2) in a frame."""
         points = _points(material)
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
-        """Pixels of the topography view to which the skin at given pixels has moved from one frame to another."""
+        """Return the topography pixels to which the skin at given pixels has moved from one frame to another."""
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
     # Contact
 
     def ellipse(self, frame: int) -> Ellipse | None:
-        """The gross contact in mm, None before contact."""
+        """Return the apparent contact in mm, None before contact."""
         return self._motion.ellipse(float(self._progress[frame]))
 
     def gross_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Whether each pixel centre of the contact view (H, W) lies in the gross contact."""
+        """Return True for each pixel centre of the contact view (H, W) inside the apparent contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self._contact_shape, dtype=bool)
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Whether each pixel centre of the contact view (H, W) lies on a ridge in contact."""
+        """Return True for each pixel centre of the contact view (H, W) on a ridge in contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self._contact_shape, dtype=bool)
         return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
-        """Area of the ellipse, mm²."""
+        """Return the area of the apparent contact, an ellipse, mm²."""
         ellipse = self.ellipse(frame)
         return 0.0 if ellipse is None else ellipse.area
 
     def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Area of the ridges in contact, mm², by quadrature with samples_per_px² partly filled cells a pixel."""
+        """Return the area (mm²) of the ridges in contact, by quadrature with samples_per_px² partly filled cells a px."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
@@ -150,36 +150,40 @@ class Truth:
     # Deformation since the onset
 
     def onset_time(self, material: ArrayLike) -> Array:
-        """Time (s) at which the gross contact reached material points (..., 2); NaN where it never did."""
+        """Return the time (s) at which the apparent contact reached material points (..., 2); NaN if it never did."""
         return self._time_of(self._onset(_points(material))[0].numpy())
 
     def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
-        """First frame that finds material points (..., 2) inside the gross contact; -1 where none does."""
+        """Return the first frame with material points (..., 2) inside the apparent contact; -1 where there is none."""
         onset = self._onset(_points(material))[0].numpy()
         frames = np.searchsorted(self._progress, np.nan_to_num(onset, nan=np.inf), side="left")
         return np.where(frames < len(self._progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Displacement (..., 2) in mm since the onset, or since a frame for all; NaN before the onset and where there
-        is none.
+        """Return the displacement (..., 2) in mm since the onset, or since frame `reference`.
+
+        NaN before the onset and for points without one.
         """
         points = _points(material)
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Gradient (..., 2, 2) of the displacement since the onset by the place of the onset; or since the frame
-        `reference` by the places there, F(frame) F(reference)^-1 - I, at points that touch.
+        """Return the displacement gradient (..., 2, 2) since the onset, with respect to the onset position.
 
-        [..., 0, 1] is du/dy: rows are components of the displacement, columns directions of the derivative. NaN where
-        the displacement is NaN, and for skin that crosses the edge of a contact at rest: the places of onset of such
-        neighbours lie on one line, the edge, so that there is no gradient by them.
+        With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
+        F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
+        columns directions of the derivative. NaN where the displacement is NaN, and for skin advected across the edge
+        of a stationary contact: the onset positions of neighbours then lie on one line, the edge, so they define no
+        gradient.
         """
         points = _points(material)
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Gradient (..., 2, 2) of the displacement since a point's own onset with all its neighbours counted from that
-        moment, F(frame) F(onset)^-1 - I: also of skin that moves in over a border at rest. NaN before the onset.
+        """Return the displacement gradient (..., 2, 2) with the neighbourhood taken from the point's own onset on.
+
+        It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
+        onset.
         """
         points = _points(material)
         onset, place = self._onset(points)
@@ -190,8 +194,9 @@ class Truth:
         return torch.where((onset <= progress)[..., None, None], gradient, math.nan).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
-        """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient: since the
-        onset of each point, or since the frame `reference`.
+        """Return medians over a square grid of positions in the apparent contact of a frame.
+
+        They count since the onset of each point, or since frame `reference`; positions without a gradient are ignored.
         """
         ellipse = self.ellipse(frame)
         if ellipse is None:
@@ -213,7 +218,7 @@ class Truth:
         )
         return Medians(*(float(np.nanmedian(field)) for field in fields))
 
-    # How it is found
+    # Solvers
 
     def _at(self, frame: int) -> Tensor:
         return torch.tensor(self._progress[frame], dtype=torch.float64)
@@ -257,7 +262,7 @@ class Truth:
         return torch.where(defined[..., None, None], gradient, math.nan)
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """F (..., 2, 2) and the velocity (..., 2) by progress of the skin at positions (..., 2)."""
+        """Return F (..., 2, 2) and the skin's velocity by progress (..., 2) at positions (..., 2)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self._motion.material(positions[..., 0], positions[..., 1], progress)
@@ -267,7 +272,7 @@ class Truth:
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives of the depth in the contact by position (..., 2) and by progress (...)."""
+        """Return the derivatives of the contact depth by position (..., 2) and by progress (...)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             depth = self._motion.depth(positions[..., 0], positions[..., 1], progress)
@@ -275,13 +280,13 @@ class Truth:
         return slope, rate
 
     def _forward(self, material: Tensor, progress: Tensor, start: Tensor) -> Tensor:
-        """Positions (..., 2) of material points at their progress (...), by Newton's method; NaN for a NaN progress."""
+        """Return positions (..., 2) of material points at progress (...), by Newton's method; NaN for NaN progress."""
         positions = start
         for _ in range(30):
             reached = torch.stack(self._motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
             missing = material - reached
             if not (missing.abs() > TOLERANCE).any():
-                # What has no progress misses by NaN and must not look found.
+                # Points with NaN progress have a NaN residual: propagate it.
                 return positions + 0 * missing
             forward, _ = self._derivatives(positions, progress)
             positions = positions + (forward @ missing[..., None])[..., 0]
@@ -292,9 +297,9 @@ class Truth:
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Progress (...) at which material points (..., 2) enter the contact, and the place (..., 2); NaN if never.
+        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN if never.
 
-        Newton's method inside the bracket that contains the entry, so it cannot run away.
+        Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """
         steps = torch.linspace(0, 1, self._motion.entry_steps + 1, dtype=torch.float64)
         points = material.expand(len(steps), *material.shape)
@@ -332,7 +337,7 @@ def _points(values: ArrayLike) -> Tensor:
 
 
 def _inverse(matrix: Tensor) -> Tensor:
-    """Inverse of 2 x 2 matrices; NaN and infinity pass where LAPACK would stop."""
+    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate where LAPACK would raise."""
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
     return adjugate / _determinant(matrix)[..., None, None]
@@ -343,7 +348,7 @@ def _determinant(matrix: Tensor) -> Tensor:
 
 
 def _grid_around(ellipse: Ellipse, spacing: float) -> tuple[Tensor, Tensor, float]:
-    """Square grid of positions (mm) that covers an ellipse, symmetric about its centre."""
+    """Return a square grid of positions (mm) that covers an ellipse, symmetric about its centre, and its spacing."""
     count = math.ceil(max(ellipse.semi_axes) / spacing) + 1
     offsets = torch.arange(-count, count + 1, dtype=torch.float64) * spacing
     y, x = torch.meshgrid(offsets + ellipse.centre[1], offsets + ellipse.centre[0], indexing="ij")

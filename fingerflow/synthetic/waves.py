@@ -1,4 +1,4 @@
-"""What a formula of skin is drawn from: plane waves in many directions and a lattice of pores."""
+"""Components of the skin formulas: plane waves in many directions and a lattice of pores."""
 
 import math
 
@@ -10,7 +10,7 @@ Waves = list[list[float]]
 
 
 def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
-    """One wave a wavelength (mm); the directions are spread over the half circle."""
+    """Return one wave per wavelength (mm), with directions spread over the half circle."""
     count = len(wavelengths)
     angles = (torch.arange(count) * 0.618 + torch.rand(1, generator=generator)) * math.pi
     angles = angles + 0.3 * (torch.rand(count, generator=generator) - 0.5)
@@ -22,14 +22,14 @@ def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
 
 
 def add_waves(plane: Tensor, waves: Waves, amplitude: float, x: Tensor, y: Tensor) -> Tensor:
-    """The plane plus `amplitude` times each wave's sine at the positions (x, y), mm."""
+    """Return the plane plus `amplitude` times each wave's sine at the positions (x, y), mm."""
     for wave_x, wave_y, offset in waves:
         plane = plane.add(torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset)), alpha=amplitude)
     return plane
 
 
 def pore_lattice(first: float, second: float, generator: torch.Generator) -> Waves:
-    """Two waves (wavelengths in mm) that cross at 70 degrees; a pore can be where both are at their maximum."""
+    """Return two waves (wavelengths in mm) that cross at 70 degrees; pores lie where both are at their maximum."""
     angle = math.pi * torch.rand(1, generator=generator).item()
     phases = (2 * math.pi * torch.rand(2, generator=generator)).tolist()
     directions = (angle, angle + math.radians(70))
@@ -40,7 +40,7 @@ def pore_lattice(first: float, second: float, generator: torch.Generator) -> Wav
 
 
 def pores_at(lattice: Waves, x: Tensor, y: Tensor) -> Tensor:
-    """16 in the middle of a pore, 0 between pores, at the positions (x, y), mm."""
+    """Return 16 at the centre of a pore, falling to 0 between pores, at the positions (x, y), mm."""
     (a_x, a_y, a_offset), (b_x, b_y, b_offset) = lattice
     rows = torch.cos((a_x * x).add(y, alpha=a_y).add(a_offset))
     crossing_rows = torch.cos((b_x * x).add(y, alpha=b_y).add(b_offset))

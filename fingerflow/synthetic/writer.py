@@ -1,4 +1,4 @@
-"""A synthetic scene on disk, as a lab would hand it over, together with the settings that rebuild its truth."""
+"""Storage of a synthetic scene as a lab recording, with the settings that rebuild its truth."""
 
 import dataclasses
 import json
@@ -28,26 +28,26 @@ from fingerflow.synthetic.scenes import SyntheticScene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
 
-#: What the settings of a scene are made of.
+#: Classes that may occur in the settings of a scene.
 KINDS = {
     kind.__name__: kind
     for kind in (Press, ChainPress, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
-_LOOKS = 12  # frames whose contact is looked at
+_LOOKS = 12  # frames whose contact determines the region
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
 def write_recording(folder: Path, scene: SyntheticScene) -> None:
     """Write a scene as a folder that appears only when it is complete.
 
-    frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the mean of eight
-    pictures without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml, with which
-    it is processed; truth.json, from which `rebuild_scene` gives the scene and with it the truth; and the picture of
-    the print where the skin is one.
+    The folder holds frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the
+    mean of eight images without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml,
+    the experiment settings; truth.json, from which `rebuild_scene` rebuilds the scene and its truth; and the image of
+    the print if the skin is one.
 
-    Raises FingerflowError where the folder exists already or cannot be made.
+    Raises FingerflowError if the folder exists already or cannot be made.
     """
     folder = Path(folder)
     if folder.exists():
@@ -74,9 +74,9 @@ def write_recording(folder: Path, scene: SyntheticScene) -> None:
 
 
 def rebuild_scene(folder: Path) -> SyntheticScene:
-    """The scene that `write_recording` wrote into a folder, frame for frame, with its truth.
+    """Return the scene that `write_recording` wrote into a folder, frame for frame, with its truth.
 
-    Raises FingerflowError where truth.json is missing or is not the description of a scene.
+    Raises FingerflowError if truth.json is missing or does not describe a scene.
     """
     path = Path(folder) / "truth.json"
     try:
@@ -106,14 +106,14 @@ def _write_frames(path: Path, scene: SyntheticScene) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
     if hasattr(os, "posix_fallocate"):
-        # On a full disk writing to memory that is mapped would end the process by SIGBUS.
+        # On a full disk, writing to mapped memory would kill the process by SIGBUS.
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
 
     def write(number: int) -> None:
         frames[number] = scene.render(number)
 
-    # One frame a thread: threads inside every operation wait for each other, four times as long on a busy machine.
+    # One frame per thread: threads within each operation wait for each other, four times as long on a busy machine.
     threads = torch.get_num_threads()
     try:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
@@ -147,7 +147,7 @@ def _scene_file(scene: SyntheticScene) -> str:
 
 
 def _region(scene: SyntheticScene) -> View | None:
-    """Where the skin that will touch lies in the first frame of the topography view: a stream cannot know."""
+    """Return the part of the topography view's first frame whose skin will touch; a stream cannot determine it."""
     truth, turns = scene.truth, np.linspace(0, 2 * np.pi, 64)
     edges = []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
@@ -166,7 +166,7 @@ def _region(scene: SyntheticScene) -> View | None:
 
 
 def _truth_file(scene: SyntheticScene, folder: Path) -> str:
-    """The settings of a scene. A file that is one of them is copied into the folder: the truth goes where it goes."""
+    """Return the settings of a scene as JSON; an image file among them is copied into the folder beside the truth."""
 
     def settings(part: Any) -> dict[str, Any]:
         if isinstance(part, Path):
@@ -186,5 +186,5 @@ def _object(folder: Path, settings: dict[str, Any]) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """JSON knows lists only, settings are tuples."""
+    """Convert lists to tuples, recursively: JSON has only lists, settings are tuples."""
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

@@ -1,6 +1,6 @@
-"""The tracker: the one policy from frame to frame, in NumPy, for recordings and for streams.
+"""Tracker: the policy from frame to frame in NumPy, the same for recordings and for streams.
 
-It decides where points are expected, when templates are updated, how lost points are recovered and verified, whether a
-frame is usable, when a point comes into contact and how, and where points are seeded. An engine (`fingerflow.engines`)
-computes what it asks for. What a stream cannot know, because frames are yet to come, is an argument.
+It predicts positions, updates templates, recovers lost points, verifies their subsets, checks whether frames are
+usable, determines when and how a point comes into contact, and seeds points. An engine (`fingerflow.engines`) does the
+computation. Arguments state what a stream cannot know because later frames are missing.
 """

@@ -1,4 +1,4 @@
-"""Means of blocks and of lines of frames: what frames are compared by, whatever moves in them."""
+"""Means of blocks and of lines of frames, by which frames are compared."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fingerflow.kernels.library import is_present
 
 Array = NDArray[Any]
 
-# Blocks are wider than ridges, which would seem to stand still, or to jump and return, where they move by half of their
-# distance from frame to frame. A tear, or lines that were lost, lie in a few rows of blocks.
+# Blocks are wider than the period of ridges. Otherwise ridges that move by half a period a frame would seem to stand
+# still, or to jump and return. A tear, or lost lines, lie in a few rows of blocks.
 _BLOCK_PX, _BLOCKS = 24, 16
-_SAMPLES = (128, 160)  # lines and pixels of each that are read, at most twice as many
+_SAMPLES = (128, 160)  # lines, and pixels of a line, that are read; up to twice as many
 
 
 class BlockMeans(NamedTuple):
-    """Of n frames, float32: `blocks` (n, rows, columns), and `lines` (n, lines that are read)."""
+    """Means of n frames, float32: `blocks` (n, rows, columns), and `lines` (n, lines that are read)."""
 
     blocks: Array
     lines: Array
@@ -52,7 +52,7 @@ def block_means(frames: Array) -> BlockMeans:
 
 @functools.cache
 def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return every which line and pixel are read of a frame, and the numbers of rows and columns of blocks."""
+    """Return the steps by which lines and pixels of a frame are read, and the numbers of rows and columns of blocks."""
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
     read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))
@@ -61,7 +61,10 @@ def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:
-    """Return sums over pieces of an axis, which share a value where they do not fit, and how many each has."""
+    """Return sums over pieces of an axis, and the number of values in each.
+
+    Neighbouring pieces share a value where the axis is no multiple of their number.
+    """
     side = values.shape[axis]
     parts = [range(piece * side // pieces, -(-(piece + 1) * side // pieces)) for piece in range(pieces)]
     sums = np.stack([np.take(values, part, axis).sum(axis) for part in parts], axis)

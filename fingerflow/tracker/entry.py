@@ -1,10 +1,11 @@
-"""How a point comes into contact: covered by a contact that grows, or advected over its border; its gradient since.
+"""Entry of points into contact: covered by a growing contact or advected over its border; gradients since the entry.
 
-Where a contact grows over skin, neighbours touch at places as far apart as they are, and the gradient of displacement
-by the places of onset is the usual one. Skin that moves in over a border at rest touches along one line: an area of it
-has places of onset without an area, and no gradient by them (`synthetic.Truth.gradient` is NaN there).
-What can be said of such skin is how it has deformed since its own entry, all neighbours counted from that moment:
-with F the gradient of its position by the place in a common frame, F(t) F(entry)^-1 - I.
+Where a contact grows over skin, the onset positions of neighbours are as far apart as the neighbours, and the gradient
+of displacement with respect to onset positions is the usual one. Skin that is advected over a border at rest comes into
+contact along one line: the onset positions of an area of skin span no area, and this gradient does not exist
+(`synthetic.Truth.gradient` is NaN there). What can be measured of such skin is its deformation since its own entry, all
+neighbours counted from that moment: with F the gradient of position with respect to position in a common frame,
+F(t) F(entry)^-1 - I.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from fingerflow.tracker.border import BORDER_MM, Border
 
 Array = NDArray[Any]
 
-#: Gauge lengths over which the way of a point before its onset is compared with that of the border.
+#: Distance, in gauge lengths, over which the motion of a point before its onset is compared with that of the border.
 MOVED = 1 / 8
-#: Gauge lengths within which points are neighbours.
+#: Distance, in gauge lengths, within which points are neighbours.
 NEAR = 1 / 2
-LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
+# Area of onset positions over that of the skin, below which times of entry shape the displacement more than the skin.
+LEAST_AREA = 0.5
 _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
 
 
 class FrameValues(Protocol):
-    """Values of frames that may lie in a file."""
+    """Interface of values by frame, which may lie in a file."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -41,28 +43,28 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Which points (N,) were advected into the contact: they moved into it over its border.
+    """Return a mask (N,) of the points that were advected into the contact over its border.
 
-    Those that have an onset after the first one, and before it moved over the glass by more than half of what border
-    and point approached each other. Neighbours enter one after the other as the border comes over them, and the places
-    of their onsets are off by what they move between: that is the strain which counting from there adds, and where it
-    is a half it is when points entered that shapes displacement more than the skin. It holds where a border rests over
-    skin that slides in, where skin runs along it, and where both move together and the onset of a point at the border
-    is found late.
+    A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
+    than half the distance by which border and point approached each other. Neighbours enter one after the other as the
+    border passes them, and their onset positions are off by their motion in between. Displacements counted from there
+    contain this strain; where it is a half, the times of entry shape them more than the skin does. The rule holds where
+    skin slides in under a border at rest, where it moves along the border, and where both move together and the onset
+    of a point at the border is detected late.
 
-    It is judged over the last eighth of the gauge length that a point has moved before its onset, or all that is
-    known of it where that is less; below the uncertainty of the border's place nothing can be said.
-    A contact that was not there when the point began to move has grown over it.
+    The motion is compared over the last eighth of the gauge length before the onset, or over all that is known if this
+    is less. A motion below the uncertainty of the border's position decides nothing. If there was no contact when a
+    point began to move, the contact has grown over the point.
 
-    And those of which most neighbours are found so, for points of which too little is known.
+    Points of which most neighbours were advected count too, because too little may be known of a point itself.
 
     Args:
         position: (frames, N, 2) mm.
         places: (N, 2) mm, in a frame that is the same for all.
         onset: (N,) frame, -1 for none.
-        reference: (N, 2) mm, places of onset.
-        gauge_mm: over which a fit is made.
-        border: of the gross contact in the same frames.
+        reference: (N, 2) mm, positions at onset.
+        gauge_mm: gauge length of the fits.
+        border: of the apparent (gross) contact in the same frames.
     """
     known = np.isfinite(places + reference).all(1) & (onset >= 0)
     counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
@@ -75,7 +77,7 @@ def advected(
 def _by_own_way(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """(E,) bool, which of the points of these columns (E,) of positions moved into the contact, by their own ways."""
+    """Return a mask (E,) of the points, columns `here` (E,) of positions, whose own motion led into the contact."""
     way, inside, then = np.full((3, len(here)), np.nan)
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
@@ -95,7 +97,7 @@ def _by_own_way(
 
 
 def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """``found`` (N,), and those `among` the points of which most of the three nearest within ``reach_mm`` are found."""
+    """Return `found` (N,) and the points `among` with at least two found of their three nearest within `reach_mm`."""
     some = np.flatnonzero(among)
     if len(some) <= _VOTERS or not found.any():
         return found
@@ -109,30 +111,35 @@ def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) 
 
 
 class SinceEntry(NamedTuple):
-    """Of n frames and E points that were advected; NaN before the entry and where too little is known."""
+    """Gradients of E advected points in n frames; NaN before the entry and where too little is known."""
 
-    gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, by the places then
+    gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, with respect to positions at that time
     covariance: Array | None  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
 
 
 class EntryGradients:
-    """Gradients of the displacement since each point's own entry; frames come in the order of time."""
+    """Gradients of the displacement since each point's own entry; frames are given in order of time."""
 
     def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
-        """``entered`` (E,) are numbers of points; the others as for `advected`."""
+        """Select the points within half a gauge length of the points `entered` (E,), given by index.
+
+        Other arguments are those of `advected`.
+        """
         self._engine, self.entered, self._onset, self._gauge = engine, entered, onset[entered], gauge_mm
         known = np.flatnonzero(np.isfinite(places).all(1))
         apart = np.full(len(known), np.inf)
         for one in places[entered]:
             np.minimum(apart, np.hypot(*(places[known] - one).T), out=apart)
-        self._near = known[apart <= gauge_mm / 2]  # all that say something of their surroundings
+        self._near = known[apart <= gauge_mm / 2]
         self._places, self._queries = places[self._near], places[entered]
         self._begun = np.full((len(entered), 2, 2), np.nan)
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
-        """In these frames (n,), from positions (n, N, 2) mm and the variance (n, N) mm^2 of a component against the
-        frame in which points were seeded. Half of it is that frame's, the same at all times.
+        """Return the gradients in frames (n,), from positions (n, N, 2) mm and their variance (n, N) mm^2.
+
+        The variance is that of a component relative to the frame in which points were seeded. Half of it belongs to
+        that frame and is the same at all times.
         """
         moved = position[:, self._near] - self._places
         noise = variance[:, self._near].astype(np.float64) / 2
@@ -146,19 +153,19 @@ class EntryGradients:
 
 
 class Entries:
-    """How points come into contact while frames come: `advected` and `EntryGradients` of what is known so far.
+    """Entry of points into contact in a stream: `advected` and `EntryGradients` from the frames so far.
 
-    Of each point the places in the last frames are kept, and how deep these lay inside the border.
+    Positions of the points and borders of the contact are kept for the last `KEPT` frames.
 
     Args:
         places: (N, 2) mm, where points were seeded; NaN for none.
-        gauge_mm: over which a fit is made.
+        gauge_mm: gauge length of the fits.
 
     Attributes:
         entered: (N,) bool, points that have been advected into the contact.
     """
 
-    KEPT = 512  # frames: the way of a point before its onset that is known
+    KEPT = 512  # frames of motion before an onset that are known
 
     def __init__(self, engine: Engine, places: Array, gauge_mm: float) -> None:
         self._engine, self._places, self._gauge = engine, places, gauge_mm
@@ -166,16 +173,22 @@ class Entries:
         self._border = Border(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
-        self._frames = 0  # that were seen
-        self._onset = np.full(len(places), -1)  # by the count of frames
+        self._frames = 0  # number of frames so far
+        self._onset = np.full(len(places), -1)  # index of the frame
         self._reference = np.full((len(places), 2), np.nan)
         self.entered = np.zeros(len(places), dtype=bool)
         self._at_entry = np.full((len(places), 2, 2), np.nan)
 
     def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
-        """A frame, in which points are at `position` (N, 2) mm, NaN where lost, a touch `begins` (N,) or lasts
-        (`touching`), which began at `reference` (N, 2) mm: the gradients (N, 2, 2) since the own entry, NaN but for
-        points that have entered; None where there are none.
+        """Add a frame and return the gradients (N, 2, 2) since each point's own entry; None if no point has entered.
+
+        They are NaN for lost points, and to be used for points that have `entered` only.
+
+        Args:
+            position: (N, 2) mm, NaN where lost.
+            begins, touching: (N,) bool, whether a touch begins in this frame, and whether there is one.
+            reference: (N, 2) mm, where the touch began.
+            border: of the apparent contact, of this frame.
         """
         row = self._frames % self.KEPT
         self._position[row] = position
@@ -201,7 +214,7 @@ class Entries:
         return since if self.entered.any() else None
 
     def _judge(self, begins: Array) -> None:
-        """Finds out which of the points that begin to touch were advected, and what their neighbours make of it."""
+        """Set `entered` for points whose touch begins, by their own motion, and for all by their neighbours."""
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
         onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)

@@ -1,4 +1,4 @@
-"""How far frames are from those before them, whatever moves in them and however the lamp flickers."""
+"""Distances of frames from earlier ones, by block means: in their pattern, without the light, and in their light."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-#: Frames in a row, at most, after which a picture that comes back counts as the one before.
+#: Largest number of consecutive frames after which an image that returns counts as the one before.
 LONGEST = 3
-# Least distances that count: below the first lies noise, and light that changes by less is what `light_gain` is for.
+# Units of distance, the least that counts: noise lies below the first, changes that `light_gain` handles below the other.
 _LEAST, _LEAST_LIGHT = 3e-3, 0.055
 _TINY = np.finfo(np.float32).tiny
 
 
 def evened(blocks: Array) -> Array:
-    """(n, rows, columns) block means over the mean of their frame: a lamp that flickers changes none."""
+    """Return block means (n, rows, columns) over the mean of their frame, which a flickering lamp does not change."""
     result: Array = blocks / np.maximum(blocks.mean((1, 2), keepdims=True), _TINY)
     return result
 
 
 def row_distances(blocks: Array, before: Array) -> Array:
-    """(n, rows) mean absolute differences of rows of evened blocks."""
+    """Return the mean absolute differences (n, rows) between rows of blocks of `evened`."""
     result: Array = np.abs(blocks - before).mean(2)
     return result
 
 
 def block_distances(blocks: Array, before: Array) -> Array:
-    """How far each frame is from the `LONGEST` + 1 before it: in rows of blocks, and in its light.
+    """Return the distance of each frame from the `LONGEST` + 1 before it: in rows of blocks, and in its light.
 
     Args:
         blocks: (n, rows, columns) of `block_means`.
         before: (m, rows, columns) those of the frames before, as far as there are any.
 
     Returns:
-        (n, LONGEST + 1, rows + 1): mean absolute differences of blocks over the mean of their frame, in units of what
-        counts at least; and the last, that of the logarithms of the means, likewise. NaN where there is no such frame.
+        (n, LONGEST + 1, rows + 1): mean absolute differences of blocks over the mean of their frame, in units of the
+        least that counts; in the last place that of the logarithms of the means. NaN where there is no such frame.
     """
     every = np.concatenate((before, blocks)) if len(before) else blocks
     even, light = evened(every), np.log(np.maximum(every.mean((1, 2)), _TINY))

@@ -1,6 +1,6 @@
-"""Which frames are pictures of the trial: what a stream can tell of a frame without those to come.
+"""Check of the frames of a stream: whether a frame is a valid image of the trial, without later frames.
 
-A recording knows these, and tells by them (`tracker.frame_returns`); limits that both have stand once.
+Recordings are checked with later frames (`tracker.frame_returns`), where the limits common to both are defined.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ USABLE = FRAME_STATUS.index("usable")
 _DARK, _SATURATED, _REPEATED, _JUMPS = (
     FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns")
 )
-MEASURED = (USABLE, _JUMPS)  # statuses by itself of a frame in which points are looked for
-_FAR, _LEAST = 3.0, 0.03  # times the steps before, and of the light of a row of blocks; skin that slips moves 0.07
-_LOST = 0.25  # of the points of the frame before, at once
-_FEWEST = 8  # points, below which their number says nothing
+MEASURED = (USABLE, _JUMPS)  # statuses, by itself, of a frame in which points are tracked
+# A frame is far at so many times the steps before, and at least this share of the light; slipping skin has 0.07.
+_FAR, _LEAST = 3.0, 0.03
+_LOST = 0.25  # share of the points of the frame before that must be lost at once
+_FEWEST = 8  # points, below which lost ones are not counted
 _LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
-_STEPS = 8  # between usable frames that are remembered
-_RETURNS = 2  # in so many frames, beyond which they are the finger's
+_STEPS = 8  # latest steps between usable frames that are kept
+_RETURNS = 2  # jumps and returns in the last `_RECENT` frames, from which on the finger vibrates
 _KNOWN, _RECENT = 8, 16  # frames
-_LIT = 0.3  # of the glass's light, that a line of the empty glass has at least
-_FLICKER, _CHANGES = 8, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
+_LIT = 0.3  # of the mean light: lines of the empty glass with less are not checked
+_FLICKER, _CHANGES = 8, 16  # changes of light, in so many frames, from which on the lamp flickers: its frames count
 
 
 class Blocks(NamedTuple):
@@ -40,7 +41,7 @@ class Blocks(NamedTuple):
 
     Attributes:
         means: (views, rows, columns).
-        even: (rows of all views, columns), over the mean of each view: whatever the lamp does.
+        even: (rows of all views, columns), means over that of each view, independent of the lamp.
         light: (blocks,) logarithm of the means of the contact view.
     """
 
@@ -50,19 +51,22 @@ class Blocks(NamedTuple):
 
 
 class FrameCheck:
-    """Tells frames that cannot be from their own light, and from the last usable frame.
+    """Detection of invalid frames by their own light and by comparison with the last usable frame.
 
-    A dark or saturated frame is known by itself, with the limits of `process`. A frame far from the last usable one
-    has come from another moment, is torn or shifted, where points are lost with it and are not to be
-    found elsewhere, as after a jump of the skin; where nine tenths of the contact
-    view become lighter or darker at once, it is the lamp: a contact never covers all of it. One that flickers does so
-    again and again, and its frames count. Lines of the contact view without light have been lost. `process` knows the
-    frames behind a frame too, a stream does not: what stays
-    for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
-    count. A far frame whose points are found may be of another moment, or skin that jumps: the next frame says which,
-    and it waits for that. Where more than a tenth of the last frames came back, a finger vibrates, and they count. A
-    frame of which all block means are those of the one before is told once eight frames have come that differ, and
-    where no more than a fifth does so.
+    - Dark or saturated: detected from the frame alone, with the limits of `process`.
+    - Lost lines: lines of the contact view without light.
+    - Far from the last usable frame: from another moment, torn or shifted. Points must be lost with it that are not
+      found elsewhere, as they are after a jump of the skin.
+    - Lamp: nine tenths of the contact view become lighter or darker at once; a contact never covers all of it. If the
+      lamp flickers, this happens again and again, and its frames count.
+    - Repeated: all block means equal those of the frame before. This is detected once more than eight frames were
+      compared, and only if no more than a fifth of the last frames repeat.
+
+    A far frame whose points are found is from another moment, or the skin jumps. It is deferred, and the next frame
+    decides. After two returns in the last 16 frames a finger is taken to vibrate, and such frames count.
+
+    `process` also knows later frames, a stream does not: a state that lasts for more than `LONGEST` frames is taken as
+    the new one, and its first `LONGEST` frames do not count.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
@@ -78,16 +82,16 @@ class FrameCheck:
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: Blocks | None = None
         self._doubtful: _DoubtfulStep | None = None
-        self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames were there and back
+        self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames jumped and returned
         self._number = self._tracked = self._jumped = 0
         self._lacks_lines = False
         self._before: deque[float] = deque(maxlen=_STEPS)
         self._previous: Blocks | None = None  # blocks of the frame before, whether it counts or not
-        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames were the one before
-        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # of its light, by more than half of the limit
+        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames equalled the one before
+        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # whether light changed by more than half of the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[Blocks, int]:
-        """Block means of each view (1, 1, H, W), and the status that a frame has by itself; in any thread."""
+        """Return block means of all views (1, 1, H, W), and the status that a frame has by itself; in any thread."""
         (contact, lines), *others = (_blocks(views[name][0, 0]) for name in sorted(views))  # the contact view is first
         every = [contact, *(one for one, _ in others)]
         means = np.stack(every)
@@ -100,12 +104,14 @@ class FrameCheck:
         return blocks, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
     def see(self, number: int, blocks: Blocks, status: int, tracked: int, elsewhere: bool) -> int | None:
-        """The status of a frame, in their order; None where `settle` is to say it, before the next frame is seen.
+        """Return the status of a frame, given in order; None if it is deferred.
+
+        `settle` must then be called before the next frame is added.
 
         Args:
             number: of the frame.
-            blocks, status: of `look`.
-            tracked: points found in it.
+            blocks, status: results of `look`.
+            tracked: number of points found in it.
             elsewhere: whether many were found far from where their motion leads (`tracker.points.Resolved`).
         """
         if status not in (USABLE, _JUMPS):
@@ -122,7 +128,7 @@ class FrameCheck:
         self._previous = blocks
         lacks_lines = status == _JUMPS and not self._lacks_lines
         if self._last is not None:
-            # The motion of frames that were dropped or did not count comes on top.
+            # The motion during frames that were dropped or did not count adds up.
             gap = max(1, min(number - self._number, LONGEST + 1))
             step = float(_steps(blocks, self._last).max())
             if sum(self._changes) < _FLICKER:
@@ -144,10 +150,10 @@ class FrameCheck:
         return USABLE
 
     def settle(self, following: Blocks | None) -> int:
-        """The status of the frame of which `see` could not say it.
+        """Return the status of the deferred frame.
 
         Args:
-            following: block means of the next frame; None where there is none, or none that could count.
+            following: block means of the next frame; None if there is none or it is not usable.
         """
         one, self._doubtful = self._doubtful, None
         assert one is not None
@@ -164,13 +170,13 @@ class FrameCheck:
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:
-    """Block means (rows, columns) of a view (H, W), and the means of the lines that are read."""
+    """Return the block means (rows, columns) of a view (H, W), and the means of the lines that are read."""
     blocks, lines = block_means(view[None])
     return blocks[0], lines[0]
 
 
 class _DoubtfulStep(NamedTuple):
-    """A frame of which the next one says whether it counts, its step a frame, and what is usual."""
+    """Deferred frame, with its step per frame and the usual step."""
 
     number: int
     blocks: Blocks
@@ -180,18 +186,18 @@ class _DoubtfulStep(NamedTuple):
 
 
 def _steps(blocks: Blocks, before: Blocks) -> Array:
-    """How far each row of blocks, of all views, is from that before, over the light of its frame."""
+    """Return the distance of each row of blocks, of all views, from that before, relative to the mean of the view."""
     rows: Array = row_distances(blocks.even[None], before.even[None])[0]
     return rows
 
 
 def _change_of_light(blocks: Blocks, before: Blocks) -> float:
-    """By how much nine tenths of the blocks at least have become lighter, or darker: logarithm of the quotient."""
+    """Return the change by which at least nine tenths of the blocks became lighter, or darker: |log of the ratio|."""
     count = blocks.light.size
     if count < _FEWEST_BLOCKS:
         return 0.0
     change = np.sort(blocks.light - before.light)
-    place, share = divmod(0.1 * (count - 1), 1)  # quantiles, as NumPy interpolates them: it takes ten times as long
+    place, share = divmod(0.1 * (count - 1), 1)  # quantiles interpolated as by NumPy, which takes ten times as long
     low, high = int(place), count - 1 - int(place)
     lightest = change[low] + share * (change[low + 1] - change[low])
     darkest = change[high] + share * (change[high - 1] - change[high])

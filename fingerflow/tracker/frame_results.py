@@ -1,4 +1,4 @@
-"""What is stated of a frame of a stream that counts: areas, positions, slip, and fields since each point's onset."""
+"""Results of a usable frame of a stream: areas, positions, slip, and fields since each point's onset of contact."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ RESULTS = (
 
 
 class Seeding(NamedTuple):
-    """Points (N, 2) px that are followed from now on; NaN beyond those that are found.
+    """Seeded points (N, 2) px that are tracked from now on, padded with NaN.
 
-    `before` (M, 2) px is where the points until now lay in the frame in which these were seeded; None for the first.
+    `before` (M, 2) px are the positions of the previous points in the frame of the seeding; None for the first seeding.
     """
 
     points: Array
@@ -37,11 +37,11 @@ class Seeding(NamedTuple):
 class FrameResults:
     """Results of frame after frame; what is counted from onsets begins again when points are seeded.
 
-    No frame is tracked by what is held here: it may be done in a thread of its own.
+    Tracking does not depend on this state: results may be computed in a thread of their own.
 
     Args:
         engine: that computes.
-        topography_to_contact: (2, 3) px to px.
+        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
         mm_per_px: of the contact view.
     """
 
@@ -57,11 +57,11 @@ class FrameResults:
 
     @property
     def slipping(self) -> bool:
-        """Whether skin in contact slips, as the last frame that counts said."""
+        """Return whether skin in contact slips, according to the last usable frame."""
         return self._slip.slipping
 
     def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
-        """Results of the next frame by the names of `RESULTS`, from what is found of the points of a seeding."""
+        """Return the results of the next frame by the names of `RESULTS`, from the points found of a seeding."""
         if seeding is not self._seeding:
             self._begin(seeding)
         self._frames += 1
@@ -97,8 +97,8 @@ class FrameResults:
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
 
     def _on_glass(self, pixels: Array) -> Array:
-        """(..., 2) px of the topography view to mm on the glass."""
-        # By components: a product with so small a matrix takes several times as long.
+        """Convert positions (..., 2) from px of the topography view to mm on the glass."""
+        # By components: a matrix product with so small a matrix takes several times as long.
         x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
         result = np.empty(pixels.shape)
         for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
@@ -106,7 +106,7 @@ class FrameResults:
         return result
 
     def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
-        """Fields of the displacement since each point's own onset of contact."""
+        """Return the fields of the displacement since each point's own onset of contact."""
         position = self._on_glass(found.points)
         border = Border(*ellipse)
         touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance, border)

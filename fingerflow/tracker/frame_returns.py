@@ -1,4 +1,4 @@
-"""Frames that cannot be: the picture jumps and comes back, or comes twice."""
+"""Invalid frames of a recording: the image jumps and returns, or repeats the frame before."""
 
 from itertools import combinations
 
@@ -7,42 +7,44 @@ from numpy.typing import NDArray
 
 from fingerflow.tracker.frame_distances import LONGEST
 
-FAR = 4.0  # times as far from both neighbours as these are from each other: a shift by 5 px is 5 to 30, noise 2
-_USUAL = 0.9  # quantile of that quotient over the recording: lamps flicker, fingers vibrate
-_FAR_AT_END = 5.0  # where there are neighbours on one side
-_MOST = 0.1  # share of the frames: more of them are a finger that vibrates, or a lamp
-REPEATED_SHARE = 0.2  # of the frames, beyond which they are the camera's way and not its fault
+# Limit of the distance to both neighbours over that between them. A shift by 5 px gives 5 to 30, noise 2.
+FAR = 4.0
+_USUAL = 0.9  # quantile of that quotient over the recording that is taken as usual: lamps flicker, fingers vibrate
+_FAR_AT_END = 5.0  # limit for the first and last frame, with neighbours on one side only
+_MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
+REPEATED_SHARE = 0.2  # of the frames, beyond which repetitions are normal for the camera and no fault
 Distances = NDArray[np.float32]
 
 
 def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Frames that are further from those before and after them than these are from each other.
+    """Return a mask of the frames that are farther from the frames before and after than these are from each other.
 
-    What moves, moves on: skin, a lamp, a camera that is knocked. A frame of another moment, torn, shifted or of another
-    brightness, is far from both of its neighbours, and these are as near each other, and to the frames beyond them, as
-    ever: in some row of blocks, or in its light, it is four times as far, four times as far as frames mostly are from
-    the next ones, and four times what is usual where light flickers or a finger vibrates. Up to `LONGEST` such frames
-    in a row are found. The first and the last frame have neighbours on one side alone, and count where they are five
-    times as far from them as these from each other.
+    Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
+    shifted or of another brightness, is far from both neighbours, while these are as close to each other and to the
+    frames beyond them as ever. A frame is marked if, in some row of blocks or in its light, it is four times as far,
+    four times as far as consecutive frames mostly are, and four times what is usual where light flickers or a finger
+    vibrates. Up to `LONGEST` such frames in a row are found. The first and the last frame have neighbours on one side
+    only, and are marked if they are five times as far from them as these from each other.
 
-    At 300 frames/s a vibration of 40 to 150 Hz comes and goes as fast; one that lasts is usual, or too much.
+    At 300 frames/s a vibration of 40 to 150 Hz returns as fast. A lasting one raises what is usual, or is found in more
+    than a tenth of the frames.
 
     Args:
         distances: (F, LONGEST + 1, rows) of `block_distances`.
-        usable: (F,) False for frames that are known to be no pictures: none is measured by them.
+        usable: (F,) False for frames already known to be invalid, with which none is compared.
 
     Returns:
-        (F,) bool; none where more than a tenth of the frames would be: that is how the skin or the light moves there.
+        (F,) bool; all False if more than a tenth would be marked, as this is the motion of the skin or the light.
     """
     frames = len(distances)
     found = np.zeros(frames, dtype=bool)
-    # Distances of noise alone differ by as much as they are.
+    # Distances that are due to noise vary by as much as their own size.
     if frames > 1:
         distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
     steps = _steps(distances)
     quotients = [_quotients(distances, steps, length) for length in range(1, LONGEST + 1)]
     limits = [FAR * _usual(one) for one in quotients]
-    # Frames with which a jump may begin, by what lies right before them.
+    # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     for quotient, limit in zip(quotients, limits, strict=True):
         likely[1 : 1 + len(quotient)] |= (quotient > limit).any(1)
@@ -71,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Frames from `frame` on after which the picture of the frame `last` is back; 0 where it never left."""
+    """Return the number of frames from `frame` on after which the image of frame `last` is back; 0 for no jump."""
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
@@ -86,8 +88,9 @@ def _length_of_jump(
 
 
 def _steps(distances: Distances) -> tuple[Distances, Distances]:
-    """(F, rows) twice: how far each frame is from the nearer of the two before it, and of the two after it; 0 where
-    there are none.
+    """Return the distances (F, rows) of each frame to the closer of the two before, and of the two after it.
+
+    They are 0 where there are none.
     """
     before = np.fmin(distances[:, 0], distances[:, 1])
     after = np.zeros_like(before)
@@ -97,13 +100,13 @@ def _steps(distances: Distances) -> tuple[Distances, Distances]:
 
 
 def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """What frames may be apart that belong together."""
+    """Return the reference distance to which that of a jump is compared: the largest of the given ones and 1."""
     result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
     return result
 
 
 def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """(F - length - 1, rows) how much further the frames between two are from both than these from each other."""
+    """Return (F - length - 1, rows): distance of `length` frames to the two around them, over that between these."""
     back = np.arange(length + 1, len(distances))
     last = back - length - 1
     out = [np.minimum(distances[last + j, j - 1], distances[back, length - j]) for j in range(1, length + 1)]
@@ -112,17 +115,17 @@ def _quotients(distances: Distances, steps: tuple[Distances, Distances], length:
 
 
 def _usual(quotients: Distances) -> Distances:
-    """(rows,) what they mostly are in the recording, at least 1."""
+    """Return the quotients (rows,) that are usual in the recording, at least 1."""
     if not len(quotients):
         return np.ones(quotients.shape[1], np.float32)
-    # The same of numbers, in one go; with NaN it goes column by column.
+    # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
     quantile = np.nanquantile if np.isnan(quotients).any() else np.quantile
     result: Distances = np.maximum(quantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
     return result
 
 
 def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(F,) the first of the frames `known`, where it is far from the next three, which are near each other."""
+    """Return a mask (F,) with the first of the frames `known`, if it is far from the next three but these are close."""
     result = np.zeros(len(distances), dtype=bool)
     first, *after = known[:4].tolist() or [0]
     if len(after) == 3 and after[-1] - first <= LONGEST + 1:
@@ -133,7 +136,7 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
 
 
 def _reversed(distances: Distances) -> Distances:
-    """The same of the frames in reversed order."""
+    """Return the distances of the frames in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):
@@ -142,7 +145,10 @@ def _reversed(distances: Distances) -> Distances:
 
 
 def repeats(distances: Distances) -> NDArray[np.bool_]:
-    """(F,) frames that are the one before by all block means, where those before and after are not."""
+    """Return a mask (F,) of the frames that equal the one before in all block means.
+
+    Frames next to another such frame are left out.
+    """
     same: NDArray[np.bool_] = (distances[:, 0] == 0).all(1)
     result = same.copy()
     result[1:-1] &= ~same[:-2] & ~same[2:]

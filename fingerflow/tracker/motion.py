@@ -1,4 +1,4 @@
-"""Where points are expected in frames to come."""
+"""Prediction of points in later frames from their position and speed."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 Array = NDArray[Any]
 
-TRUSTED = int(SPEED_FRAMES)  # frames that a speed is good for: after them a lost point waits for what comes
-_NEVER = 10**6  # frames: a point that there is not
-_AROUND = 8  # points from which new ones take their speed
+TRUSTED = int(SPEED_FRAMES)  # frames over which a speed is extrapolated at most
+_NEVER = 10**6  # frames missing, of a point that does not exist
+_AROUND = 8  # nearest points from which a new point takes its speed
 
 
 class PointMotion(NamedTuple):
-    """Where N points were seen last, or where their neighbours say that they are, and their speed.
+    """Position and speed of N points: found, predicted from their neighbours, or extrapolated.
 
-    A speed is the mean of the displacements seen, the last one with half the weight: that of two positions alone would
-    carry their noise as many frames ahead as are asked for.
+    A speed is the mean of the displacements, the latest one with half the weight: the displacement between two
+    positions alone would carry their noise on into all predicted frames.
 
     Attributes:
         place: (N, 2) px, NaN where there is no point.
         speed: (N, 2) px a frame.
-        missing: (N,) frames for which a point was not found, 0 where it was.
-        known: (N,) whether it was found, or its neighbours said where it is.
-        jolted: (N,) whether that was not where any motion leads: a search has found it.
+        missing: (N,) frames for which a point was not found, 0 if it was found.
+        known: (N,) whether a point was found or its position was predicted from its neighbours.
+        jolted: (N,) whether its position is off any predicted motion, as found by a search.
     """
 
     place: Array
@@ -38,14 +38,14 @@ class PointMotion(NamedTuple):
 
     @classmethod
     def at_rest(cls, points: Array) -> PointMotion:
-        """Points (N, 2) px that nothing is known of but where they are."""
+        """Return points (N, 2) px with speed 0."""
         known = known_of(points)
         return cls(points, np.zeros_like(points), np.where(known, 0, _NEVER), known, np.zeros_like(known))
 
     def seeded(self, points: Array) -> PointMotion:
-        """New points (N, 2) px of the same frame, with the speed of those around them.
+        """Return new points (N, 2) px of the same frame, with the speed of the tracked points around them.
 
-        It is the median of the eight nearest that are found, of each component; where fewer are known, 0.
+        It is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
         """
         others = PointMotion.at_rest(points)
         seen, given = np.flatnonzero(self.missing == 0), np.flatnonzero(others.known)
@@ -56,20 +56,20 @@ class PointMotion(NamedTuple):
         return others
 
     def expect(self, frames: int = 1) -> Array:
-        """(N, 2) px so many frames ahead."""
+        """Return the predicted positions (N, 2) px so many frames ahead."""
         place: Array = self.place + self.speed * np.float32(min(frames, TRUSTED))
         return place
 
     def see(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
     ) -> PointMotion:
-        """After a frame so many frames later.
+        """Return the motion after a frame, so many frames later.
 
         Args:
             points: (N, 2) px, NaN where lost.
             frames: since the last one.
-            by_neighbours: (N, 2) px where the neighbours of each expect it, NaN where too few are known.
-            jolted: (N,) points that are not where any motion leads.
+            by_neighbours: (N, 2) px, positions predicted from the neighbours; NaN where too few are known.
+            jolted: (N,) points whose position is off any predicted motion.
         """
         points = points.copy()
         known = known_of(points)
@@ -82,7 +82,7 @@ class PointMotion(NamedTuple):
                 points[told] = by_neighbours[told]
                 known[told] = True
         jolted = np.zeros_like(known) if jolted is None else jolted & known
-        # A point that was lost may be found beside where it was expected, and one jolt is no motion: two are.
+        # A point that is found again may lie beside its prediction. One jolt is not taken for motion; two in a row are.
         moved = known & self.known & (self.jolted | ~jolted)
         change = (points - self.place) / np.float32(frames) - self.speed
         change *= np.float32(SPEED_WEIGHT)
@@ -94,8 +94,10 @@ class PointMotion(NamedTuple):
         return PointMotion(points, change, missing, known, jolted)
 
     def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
-        """After frames that were followed in one call, to `place` with `speed` (N, 2): what neighbours say of points
-        that are lost in the last one (`points`). Arguments as for `see`.
+        """Return the motion after frames that were tracked in one call, which ended at `place` with `speed` (N, 2).
+
+        Points lost in the last frame (`points`) take the position predicted from their neighbours where there is one.
+        Other arguments are those of `see`.
         """
         after = self.see(points, frames, by_neighbours)
         asked = (after.known & (after.missing > 0))[:, None]
@@ -103,6 +105,6 @@ class PointMotion(NamedTuple):
 
 
 def known_of(points: Array) -> Array:
-    """(...) bool of points (..., 2): True where both components are finite."""
+    """Return a mask (...) of points (..., 2): True where both components are finite."""
     known: Array = np.isfinite(points[..., 0] + points[..., 1])
     return known

@@ -1,4 +1,4 @@
-"""When a point comes into contact."""
+"""Onset of contact of points."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from fingerflow.tracker.border import Border
 
 Array = NDArray[Any]
 
-#: Frames in a row that the contact covers a point to count as its onset.
+#: Consecutive frames in which the contact must cover a point for a lasting touch.
 LASTING = 3
 _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """The touch that N points have in F frames.
+    """Touches of N points in F frames; NaN where a point has no touch.
 
     Attributes:
-        place: (F, N, 2) mm, of the point as its touch began, between two frames; NaN where it has none.
-        share: (F, N) of the way from the frame before to the first frame of the touch, at which that was.
-        variance, earlier: (F, N) px^2, of the point in the first frame of its touch, and in the frame before; 0 where
-            that says nothing.
-        touching, begins: (F, N) bool, whether a point has a touch, and whether it begins there.
+        place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
+        share: (F, N) fraction of the step from the previous frame to the first frame of the touch at which it began.
+        variance, earlier: (F, N) px^2, variance of the point in the first frame of its touch, and in the frame before,
+            the latter 0 if unknown.
+        touching, begins: (F, N) bool, whether a point has a touch, and whether it begins in this frame.
     """
 
     place: Array
@@ -36,19 +36,19 @@ class Touching(NamedTuple):
 
 
 class Touches:
-    """The present touch of each point, run after run of frames.
+    """Present touch of each point, updated with each run of frames.
 
-    A touch of fewer than `LASTING` frames is forgotten: whether the border grazes a point is chance, and the skin moves
-    on until it comes to stay. What has come to stay counts, whatever becomes of the contact.
+    A touch shorter than `LASTING` frames is discarded: whether the border grazes a point is chance, and the skin keeps
+    moving until the contact lasts. A lasting touch is kept, even if the contact leaves the point later.
 
-    A touch begins where the border of the apparent contact passed the point on its way from the frame before: half a
-    frame before the first frame that shows it, on average.
+    A touch begins when the border of the apparent contact passes the point between two frames: on average half a frame
+    before the first frame that shows it.
 
     Attributes:
-        length: (N,) frames in a row that the contact has covered each point, `LASTING` once it did for so many.
-        start: (N,) number of the frame in which the touch began, -1 for none.
+        length: (N,) consecutive frames in which the contact has covered each point; it stays at `LASTING` once reached.
+        start: (N,) number of the frame in which the latest touch began, -1 before the first.
         place, share, variance, earlier: (N, ...) of the present touch, as for `Touching`.
-        first, first_place: the same of the first touch of all.
+        first, first_place: number of the frame and position of the very first touch, which may not have lasted.
     """
 
     def __init__(self, points: int) -> None:
@@ -64,8 +64,14 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """F frames more, by their numbers (F,): whether the contact covers each point (F, N), where these are (F, N, 2)
-        mm, NaN where lost, the variance (F, N) of a component, px^2, and the border of the contact.
+        """Add F frames and return the touches in them.
+
+        Args:
+            frames: (F,) numbers of the frames.
+            covered: (F, N) whether the contact covers each point.
+            position: (F, N, 2) mm, NaN where lost.
+            variance: (F, N) px^2 of a component.
+            border: of the apparent contact.
         """
         before = np.concatenate((self._before, position))
         borders = Border(*(np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)))
@@ -79,12 +85,12 @@ class Touches:
             np.repeat(np.where(goes_on, one, np.float32(np.nan))[None], steps, axis=0)
             for one in (self.share, self.variance, self.earlier)
         )
-        # Most have come to stay, or are out of the contact in all of these frames.
+        # Most points have a lasting touch, or are out of the contact in all of these frames.
         some = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
         if not len(some):
             return Touching(place, share, spread, earlier, touching, begins)
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
-        # The frames since the last one without contact, unless it has come to stay.
+        # Frames since the last one without contact, of points that have no lasting touch yet.
         left = np.maximum.accumulate(np.where(covered[:, some], 0, number), axis=0)
         length = number - left + np.where(left == 0, self.length[some], 0)
         stays = np.logical_or.accumulate(length >= LASTING, axis=0)
@@ -114,10 +120,10 @@ class Touches:
 def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
     """Return positions (F, N, 2) mm, interpolated to the border where a touch begins, and the shares (F, N).
 
-    The first of the positions (F + 1, N, 2) and borders belong to the frame before. A share is the fraction of the step
-    from the previous frame at which the border passed the point: depth inside the ellipse is interpolated linearly
-    between both frames. Where the ellipse is not crossed between them, the nearer end of the step is taken; without an
-    ellipse in the previous frame, its middle; and for a point that was lost there, its position now.
+    The first of the positions (F + 1, N, 2) and of the borders belongs to the frame before. A share is the fraction of
+    the step from the previous frame at which the border passed the point: depth inside the ellipse is interpolated
+    linearly between both frames. Where the ellipse is not crossed between them, the nearer end of the step is taken;
+    without an ellipse in the previous frame, its middle; and for a point that was lost there, its position now.
     """
     share = np.ones(begins.shape, np.float32)
     if not begins.any():
@@ -137,5 +143,8 @@ def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, A
 
 
 def _pairs(places: Array) -> NDArray[np.complex128]:
-    """(...) of (..., 2), in the same memory: NumPy is several times as slow over an axis of two."""
+    """Return positions (..., 2) as complex numbers (...), in the same memory.
+
+    NumPy is several times slower over an axis of two.
+    """
     return places.view(np.complex128)[..., 0]

@@ -1,4 +1,4 @@
-"""Points that were seeded in one picture, their key frame, followed through the frames after it."""
+"""Points tracked from the key frame in which they were seeded through the frames after it."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from fingerflow.tracker.verification import Verification
 
 Array = NDArray[Any]
 
-_ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and points, that are found elsewhere after a jump
+_ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must be found elsewhere after a jump
 _TINY = 1e-12
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What may be known, and afforded, when a frame is tracked.
+    """Knowledge of other frames, and limits of computing time, for the tracking of a frame.
 
     Attributes:
-        lag: frames that a prediction leads ahead: 1 where each frame begins when the one before has ended, more where
-            frames are computed beside each other.
-        ahead: frames to come are known: several may be followed in one call, and a point that fails the verification
-            is not trusted in the frames before, up to the check before that.
-        searched: points that are searched for in one round of a frame; None for all.
-        patience: frames for which a lost point is searched for; None for ever.
+        lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
+            are computed in parallel.
+        ahead: True if later frames are known. Several frames may then be tracked in one call, and a point that fails
+            the verification is rejected in all frames since the check before.
+        searched: largest number of points searched for in one round of a frame; None for all.
+        patience: frames for which a lost point is searched for; None for no limit.
     """
 
     lag: int = 1
@@ -57,21 +57,21 @@ STREAM = Knowledge(ahead=False, searched=ROWS, patience=TRUSTED)
 
 
 class _Pending(NamedTuple):
-    """Templates of some rows that are updated before frame number `due` is followed, for a deformation (L, 2, 2)."""
+    """Template update of some rows (L,), due before frame number `due`, for the deformation `warp` (L, 2, 2)."""
 
     due: int
     rows: Array
     warp: Array
-    prepared: list[TemplateBuffers]  # of the first rows, in pieces, ahead of time
+    prepared: list[TemplateBuffers]  # templates of the first rows, prepared in pieces ahead of time
 
 
 class Resolved(NamedTuple):
-    """What is found of the points in a frame, before anything is learnt from it.
+    """Points found in a frame, before motion and templates are updated from it.
 
     Attributes:
-        corrected: of (1, N) points.
-        jolted: (N,) points that a search has found, or None.
-        elsewhere: whether many of the points that were lost were found far from where their motion leads.
+        corrected: (1, N) points.
+        jolted: (N,) points that were searched for, or None.
+        elsewhere: whether many of the lost points were found far from where their motion leads.
     """
 
     corrected: Corrected
@@ -80,17 +80,18 @@ class Resolved(NamedTuple):
 
 
 class Points:
-    """N points with the picture in which they were seeded.
+    """N points and the key frame in which they were seeded.
 
-    How the skin deforms around them is learnt from them and from A points that were seeded before, which are known in
-    the key frame too: those of a narrow band alone would say little.
+    The deformation of the skin around them is fitted to them and to A points that were seeded before and are known in
+    the key frame too: points in a narrow band alone would not determine it.
 
     With template "keyframe" every frame is compared with the key frame, the template deformed by the gradient of the
-    motion found so far: errors do not add up. With "previous", from frame to frame, they do.
+    motion found so far, and errors do not add up. With "previous" every frame is compared with the one before, and
+    errors add up.
 
     Attributes:
-        motion: where points are, or are expected.
-        start: (N, 2) px where they were seeded.
+        motion: position and speed of the points.
+        start: (N, 2) px, reference positions in the key frame.
     """
 
     def __init__(
@@ -105,8 +106,10 @@ class Points:
         knowledge: Knowledge = RECORDING,
         again: bool = False,
     ) -> None:
-        """`image` (1, 1, h, w), `points` (N, 2) and `around` (A, 2) px in it, NaN for none; `motion` of the points, at
-        rest by default; `again` where the key frame is followed too.
+        """Prepare the templates of `points` (N, 2) px in the key frame `image` (1, 1, h, w).
+
+        `around` (A, 2) px are the surrounding points in it; NaN stands for no point. By default the points are at rest
+        (`motion`). `again` is True if the key frame itself is tracked too.
         """
         self._engine, self._knowledge, self._by_key = engine, knowledge, template == "keyframe"
         points = np.ascontiguousarray(points, np.float32)
@@ -115,24 +118,24 @@ class Points:
         self.motion = motion or PointMotion.at_rest(points)
         self._verification = Verification(engine, image, points)
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
-        # Of the skin at the last check, and as templates have it.
+        # Deformation gradient at the last check, and the inverse of that in the templates.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
-        self._last: Corrected | None = None  # of the last frames that were followed
+        self._last: Corrected | None = None  # of the last frames that were tracked
         self._interval = MOST_FRAMES if self._by_key else 1  # frames to the next check of templates
         self._pending: list[_Pending] = []
         self._preparing = threading.Lock()
-        # Frames from the key frame on, when templates were checked, and passed over since the last frame.
+        # Frames tracked since the key frame, those at the last check of templates, and frames skipped since the last.
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
         self._index = 1  # number of the next frame
-        self._neighbours: Any = None  # for `Engine.outliers`, once a point is to be judged
-        self._walked: Array | float = 0.0  # variance that has come together from frame to frame
+        self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
+        self._walked: Array | float = 0.0  # variance accumulated from frame to frame
         self._key = engine.key(image)
         self._templates = engine.prepare(self._key, points)
 
     @property
     def start(self) -> Array:
-        """(N, 2) px, where the points were seeded."""
+        """Return the reference positions (N, 2) px, where the points were seeded."""
         return self._every[: len(self)]
 
     def __len__(self) -> int:
@@ -140,7 +143,7 @@ class Points:
 
     @property
     def as_seeded(self) -> FoundPoints:
-        """What is found (1, N) of the points in their own key frame."""
+        """Return the result (1, N) of the points in their own key frame."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
@@ -149,18 +152,18 @@ class Points:
         return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
 
     def pass_over(self, frames: int) -> None:
-        """Frames that tell nothing: points are expected on where their speed leads."""
+        """Skip frames without information: points are predicted along their speed."""
         self._gap += frames
 
     def expect(self, ahead: int = 1) -> Array:
-        """(N, 2) px so many frames after the last one that was followed or passed over."""
+        """Return the predicted positions (N, 2) px, so many frames after the last one that was tracked or skipped."""
         return self.motion.expect(self._gap + ahead)
 
     def follow(self, images: Images, around: FoundPoints | None = None) -> Steps[FoundPoints]:
-        """Finds the points in the next images (n, 1, h, w): (n, N). What was found of the points around is (n, A).
+        """Track the points through the next images (n, 1, h, w) and return the result (n, N).
 
-        Estimates are where points are or were last. Points of several recordings may be followed together
-        (`engines.together`).
+        `around` (n, A) is the result of the surrounding points. Estimates are the last known positions. Points of
+        several recordings may be tracked in batched calls (`engines.together`).
         """
         around = nothing_found(len(images)) if around is None else around
         steps: list[FoundPoints] = []
@@ -178,14 +181,15 @@ class Points:
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
 
     def look(self, image: Images, guess: Array) -> FoundPoints:
-        """What one image shows near guesses (N, 2); in any thread, while other frames are looked at."""
+        """Return the points found in one image near guesses (N, 2); in any thread, while other frames are tracked."""
         return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
 
     def resolve(
         self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
     ) -> Resolved:
-        """What is found (1, N) of a frame after `look`, so many frames after the last one that was accepted: lost
-        points recovered, positions corrected. Frame after frame in their order; nothing is learnt yet.
+        """Recover lost points (1, N) of a frame after `look` and correct the positions.
+
+        `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
         """
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
@@ -200,18 +204,18 @@ class Points:
         return run_alone(self._learnt(image, resolved, frames))
 
     def changes(self, index: int) -> bool:
-        """Whether templates are updated before the frame of this number: all before it have to end first."""
+        """Return whether templates are to be updated before the frame of this number: earlier frames must end first."""
         return any(one.due <= index for one in self._pending)
 
     def update_due(self, index: int) -> None:
-        """Updates the templates that are due before the frame of this number, in the order in which they were found."""
+        """Update the templates that are due before the frame of this number, in the order in which they were found."""
         run_alone(self._updated(index))
 
     def prepare_ahead(self) -> None:
         """Prepare a part of the templates that are due later, so that no frame waits for all of them.
 
         Any thread may call it while others track frames. A part is always a multiple of `ROWS`: sums of an exported
-        graph differ in the last digit by a row's place in a call, and the pace of this thread must not change results.
+        graph differ in the last digit by a row's place in a call, and timing must not change results.
         """
         with self._preparing:
             for pending in self._pending[:1]:
@@ -231,7 +235,7 @@ class Points:
             self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
     def _prepared(self, pending: _Pending, rows: int) -> Steps[None]:
-        """Prepares so many more rows, where so many are left."""
+        """Prepare so many more rows of a pending update, or those that are left."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
         some = slice(done, done + rows)
         if done < len(pending.rows):
@@ -251,7 +255,7 @@ class Points:
         return (yield from self._finished_all(images, followed, around))
 
     def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[Followed]:
-        """What one image shows of all points, or of some rows, near guesses."""
+        """Track all points, or some rows, in one image near guesses."""
         followed: Followed = yield Call(
             self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
         )
@@ -268,7 +272,7 @@ class Points:
         return (yield from self._verified(image, found))
 
     def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
-        """The same of several images that were followed in one call."""
+        """Recover lost points, correct positions and update the motion for images that were tracked in one call."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
             followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
@@ -279,7 +283,7 @@ class Points:
         return (yield from self._checked_templates(corrected, before.place, len(images)))
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
-        """The points that get lost on the way, followed once more, one frame after the other, with a search."""
+        """Track the points that were lost in any of the images again, frame by frame, with a search."""
         motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
@@ -312,8 +316,10 @@ class Points:
     def _recovered(
         self, image: Images, guess: Array, found: FoundPoints, frames: int
     ) -> Steps[tuple[FoundPoints, Array | None, bool]]:
-        """A frame with the points that a search has found, which these are, and whether many of the points that are not
-        where their motion leads were found elsewhere, by a search or where a look has led.
+        """Recover the lost points of a frame.
+
+        Return the result, the points (N,) that were searched for (None if none), and whether many of the points that
+        are not where their motion leads were found elsewhere, by a search or by several steps.
         """
         patience = self._knowledge.patience
         wanted = self.motion.missing < (np.inf if patience is None else patience)
@@ -321,7 +327,7 @@ class Points:
         if not lost.any():
             return found, None, False
         if self._knowledge.lag > 1:
-            # By now the frames between are known: a guess from these is nearer.
+            # By now the frames in between are known, and a prediction from them is closer.
             guess = self.motion.expect(frames)
             rows = np.flatnonzero(lost)
             nearer = yield from self._looked(image, guess[rows], rows)
@@ -343,12 +349,12 @@ class Points:
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
-        """(N, 2) px where neighbours expect points in a frame of which so much is found."""
+        """Return the positions (N, 2) px predicted from neighbours, given the points found so far in a frame."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 
     def _corrected(self, found: FoundPoints, around: FoundPoints) -> Steps[Corrected]:
-        """Corrected for the deformation, points that are off their neighbours marked."""
+        """Mark outliers and correct the points for the deformation; with template "previous" return them unchanged."""
         if not self._by_key:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
             nothing = np.zeros(found.status.shape, np.float32)
@@ -365,7 +371,7 @@ class Points:
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
     def _judged(self, found: FoundPoints) -> Steps[FoundPoints]:
-        """Points that were found but not where their neighbours say, or far more uncertain than they, marked."""
+        """Mark tracked points that are off their neighbours or far more uncertain than they are."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
         if self._neighbours is None:
@@ -384,7 +390,10 @@ class Points:
         return found._replace(points=points, covariance=covariance, status=status)
 
     def _known_of_templates(self, others: int) -> tuple[Array, Array]:
-        """Template statistics and F_0^-1 of (N + A) points; of those around nothing, with unit covariance."""
+        """Return the template statistics and F_0^-1 of (N + A) points.
+
+        Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
+        """
         numbers = self._templates.numbers
         if not others:
             return numbers, self._inverse_warp
@@ -396,8 +405,9 @@ class Points:
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
     ) -> Steps[FoundPoints]:
-        """What was found, estimates being the last places; templates that need an update are noted, or made from the
-        last image with template "previous".
+        """Check the templates after frames and return the points found, with the last known positions as estimates.
+
+        With template "previous" new templates are prepared from the last image.
         """
         self._gap = 0
         self._followed += frames
@@ -412,10 +422,10 @@ class Points:
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _check_templates(self, warp: Array, shift: Array) -> None:
-        """Finds the templates whose windows have changed by more than a part of a pixel at their edge.
+        """Find the templates whose window edges have shifted by more than `UPDATE_PX`, and plan their update.
 
-        They are updated eight frames later, so that a stream has the time to prepare them; where the skin deforms so
-        fast that others would change by as much until then, as soon as may be, and the next check comes sooner.
+        It is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so fast
+        that the update interval is shorter, it is due as soon as possible.
         """
         window, frames = self._engine.settings.window_px, self._followed - self._checked
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
@@ -428,12 +438,15 @@ class Points:
             much[pending.rows] = False
         rows = np.flatnonzero(much)
         if len(rows):
-            begun = self._knowledge.lag - 1  # frames after this one that may have begun
+            begun = self._knowledge.lag - 1  # later frames that may have begun
             later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """The same after the verification, with the variance since the key frame; all NaN of points that fail."""
+        """Verify the points and return them with their covariance since the key frame.
+
+        Points that fail are NaN, with the status WINDOW_DIFFERS.
+        """
         if self._knowledge.ahead:
             failed = yield from self._verification.check(images, found.points, found.status, self._last_warp())
         else:
@@ -459,7 +472,7 @@ class Points:
         return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
-        """Variance (n, N) of positions relative to the skin that was seeded, from frame to frame that of all steps."""
+        """Return the variance (n, N) of positions relative to the seeded skin: the sum over all steps so far."""
         walked = self._walked + np.nan_to_num(variance).cumsum(0)
         self._walked = walked[-1:]
         result: Array = walked + 0 * variance
@@ -467,13 +480,13 @@ class Points:
 
 
 def beside(parts: list[FoundPoints]) -> FoundPoints:
-    """What was found of other points in the same frames, side by side."""
+    """Return the results of different points in the same frames, concatenated along the points."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
 
 
 def _last_seen(points: Array, before: Array) -> Array:
-    """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (N, 2)."""
+    """Return points (n, N, 2) with lost ones replaced by their last position, at first that of `before` (N, 2)."""
     places = points.copy()
     for one in places:
         gone = ~known_of(one)
@@ -484,7 +497,7 @@ def _last_seen(points: Array, before: Array) -> Array:
 
 
 def _scattered(found: FoundPoints, rows: Array, count: int) -> FoundPoints:
-    """What was found (1, L) of some rows, as of all points (1, N); the others are not given."""
+    """Return the result (1, L) of some rows as that of all points (1, N); the others are NaN and NOT_FINITE."""
     whole = []
     for one in found:
         filler = np.nan if one.dtype.kind == "f" else TrackStatus.NOT_FINITE

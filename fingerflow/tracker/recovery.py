@@ -1,4 +1,4 @@
-"""Points that a frame does not show where they are expected, searched for again."""
+"""Lost-point recovery: a search for points that were not found near their predictions."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 Array = NDArray[Any]
 
 ROUNDS = 3  # searches of a frame, at most
-_YIELD = 0.25  # share of the points searched for that is found, below which no other search follows
-_NEARER = 0.5  # px from where a point was looked for before, below which nothing else would be found
+_YIELD = 0.25  # share of the points searched for that are found, below which no other round follows
+_NEARER = 0.5  # px from the guess, below which tracking again would find nothing else
 
 
 class Recovered(NamedTuple):
-    """What a frame shows after a search.
+    """Result of a frame after lost-point recovery.
 
     Attributes:
-        found: of (1, N) points.
-        searched: (N,) points that nothing but a search, or their neighbours after one, has found.
+        found: (1, N) points.
+        searched: (N,) points that were searched for, or tracked again where their neighbours predict them.
     """
 
     found: FoundPoints
@@ -32,7 +32,7 @@ class Recovered(NamedTuple):
 
 
 def lost_points(status: Array) -> Array:
-    """(...) bool, which points with texture inside the frame were not found, or not where they can be."""
+    """Return a mask (...) of the points with texture inside the frame that were not found, or found and rejected."""
     lost: Array = status >= TrackStatus.NOT_CONVERGED
     return lost
 
@@ -49,17 +49,17 @@ def recover(
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
 ) -> Steps[Recovered]:
-    """Searches for the points of a frame (1, N) that are lost, around their guesses (N, 2).
+    """Search for the lost points of a frame (1, N) around their guesses (N, 2).
 
-    Where no more than `most` may be searched for in one round, those that lie all over the view are, and the others are
-    looked for where their neighbours then say, for up to three rounds: after a jump of the skin a few tell the way of
-    all.
+    If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
+    tracked where their neighbours predict them. There are up to three rounds: after a jump of the skin, a few points
+    give the displacement of all.
 
     Args:
-        key, start: key frame of the templates and their places (N, 2) px in it.
-        wanted: (N,) points that are worth a search.
-        most: points that are searched for in one round; None for all.
-        by_neighbours: (N, 2) px where neighbours expect points, from what is found so far.
+        key, start: key frame of the templates and their reference positions (N, 2) px in it.
+        wanted: (N,) points to search for if they are lost.
+        most: largest number of points searched for in one round; None for all.
+        by_neighbours: returns positions (N, 2) px predicted from neighbours, given the points found so far.
     """
     searched = np.zeros(len(start), dtype=bool)
     left = wanted & lost_points(found.status[0])
@@ -69,7 +69,7 @@ def recover(
             break
         some = rows
         if most is not None and len(rows) > most:
-            # Points come in the order of their strength, which is none of places: these lie all over.
+            # Points are ordered by strength, which is unrelated to position: equal steps sample the whole view.
             some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
         left[some] = False
         found = yield from _searched(engine, templates, key, start, image, found, guess, some)
@@ -104,10 +104,10 @@ def _searched(
     guess: Array,
     rows: Array,
 ) -> Steps[FoundPoints]:
-    """The same, some rows searched for within `search_px` of their guesses.
+    """Search for some rows within `search_px` of their guesses and return the updated result.
 
-    Searched for backward too, without knowing the way there: one that leads elsewhere by more than the limit, and the
-    pixel that a search is good to, has the status FORWARD_BACKWARD.
+    Each point is also searched for backward, independently of the forward search. If this misses the start by more than
+    the forward-backward limit plus 1 px, the accuracy of a search, its status is FORWARD_BACKWARD.
     """
     near = guess[rows]
     places, returns = engine.search(key, image, start[rows], near)
@@ -121,7 +121,7 @@ def _searched(
 
 
 def _replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """What was found of (1, N) points, with what was found again of some rows."""
+    """Return the result of (1, N) points with some rows replaced by `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

@@ -1,4 +1,4 @@
-"""Whether skin in contact begins to slip: what the best rigid motion of its points leaves, against its noise."""
+"""Slip flag of a stream: residual of the best rigid motion of the points in contact, compared with its noise."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 _FEWEST = 8  # points in contact
-_RAISED = 2.0  # times the noise; skin that sticks shows 1.0 to 1.3
-_NEAREST = 4  # points, by their distance, of which another one takes its displacement
-_FRAMES = 3  # in a row, before the flag is raised or taken back
+_RAISED = 2.0  # times the noise; sticking skin has 1.0 to 1.3
+_NEAREST = 4  # old points from which a new one takes its displacement, weighted by distance
+_FRAMES = 3  # in a row, before the flag is raised or withdrawn
 
 
 class SlipState(NamedTuple):
-    """Of a frame.
+    """Slip residual and flag of a frame.
 
     Attributes:
         residual: px, root mean square of a component; NaN where fewer than 8 points are in contact.
-        slipping: whether it has been above twice its noise for three frames.
+        slipping: the flag, which changes after three frames in a row above, or not above, twice the noise.
     """
 
     residual: float
@@ -29,29 +29,29 @@ class SlipState(NamedTuple):
 
 
 class SlipFlag:
-    """The flag of a stream. It comes two frames after the first that shows slip, beside the frame's own latency.
+    """Slip flag of a stream, raised two frames after the first frame that shows slip, plus the latency of a frame.
 
-    Displacement counts from where each point was when it was touched. Skin that spreads under a growing normal force is
-    not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
-    of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
-    full slip; on a contact 4 mm long that is seen by windows of 15 px at 22 %. Skin that slides as a whole is rigid;
-    what it was stretched by before stays, and with it the flag. Where other points are chosen meanwhile, each takes
-    over the displacement of the old ones nearest to it. Where nothing tells it, as those are lost, nothing takes the
-    flag back before the contact ends.
+    Displacement counts from the position of each point when its contact began. Skin that spreads under a growing normal
+    force is not rigid either: the flag means that skin in contact deforms, which under a steady force is partial slip.
+    On trials of `fingerflow.synthetic.PartialSlip` it is raised when 6 to 15 % of the contact have slipped, a fifth of
+    the way to full slip; in a contact 4 mm long, tracked with windows of 15 px, at 22 %. Skin that slides as a whole is
+    rigid: its earlier stretch stays, and with it the flag. At a reseeding each new point takes over the displacement of
+    the nearest old points. If too few of these are known, the flag is not withdrawn before the contact ends.
 
     Attributes:
-        slipping: what the last frame said.
+        slipping: the flag after the last frame.
     """
 
     def __init__(self) -> None:
         self._touched: Array = np.empty((0, 2))
         self._run = 0
-        self._held = False  # the points that have shown slip are gone
+        self._held = False  # True if the points that have shown slip are lost: the flag stays until the contact ends
         self.slipping = False
 
     def follow_others(self, before: Array, points: Array) -> None:
-        """Other points (N, 2) px are followed from now on, chosen in a frame in which those until now lay at `before`
-        (M, 2) px, NaN where lost.
+        """Take over the displacement of the previous points for newly seeded points (N, 2) px.
+
+        In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
         moved = before - self._touched if len(self._touched) else np.full_like(before, np.nan)
         known, given = np.isfinite(moved).all(-1), np.isfinite(points).all(-1)
@@ -66,12 +66,12 @@ class SlipFlag:
             self._held |= self.slipping
 
     def see(self, points: Array, std: Array, covered: Array) -> SlipState:
-        """A frame, in their order.
+        """Add a frame, given in order, and return its slip residual and flag.
 
         Args:
             points: (N, 2) px, NaN where lost.
             std: (N,) px, standard deviation of a component.
-            covered: (N,) whether the gross contact covers each.
+            covered: (N,) whether the apparent (gross) contact covers each.
         """
         if not len(self._touched):
             self._touched = np.full(points.shape, np.nan)
@@ -93,7 +93,7 @@ class SlipFlag:
             some = std[used].astype(np.float64)
             noise = math.sqrt(float(some @ some) / len(some))
         self._held &= bool(covered.any())
-        # Too few points say nothing, neither that skin slips nor that it does not, until the contact ends.
+        # Too few points in contact neither raise the flag nor withdraw it.
         unknown = self._held or (math.isnan(residual) and covered.any())
         above = self.slipping if unknown and self.slipping else residual > _RAISED * noise
         self._run = self._run + 1 if above != self.slipping else 0
@@ -103,7 +103,10 @@ class SlipFlag:
 
 
 def rigid_residual_rms(before: Array, after: Array) -> float:
-    """Root mean square of a component of what the best rigid motion of points (N,), x + i y, leaves (Procrustes)."""
+    """Return the root mean square of a component of the residual of the best rigid motion (Procrustes).
+
+    Points (N,) are x + i y.
+    """
     start, end = before - before.mean(), after - after.mean()
     product = np.vdot(start, end)
     off = end - start * (product / abs(product) if product else 1)

@@ -1,4 +1,4 @@
-"""The tracker of a stream: from pictures to numbers, frame after frame, without those to come."""
+"""Tracker of a stream: from images to results, frame after frame, without later frames."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 Array = NDArray[Any]
 
 CONTACT_VIEW, TOPOGRAPHY_VIEW = "contact_view", "topography_view"
-PAGE = "page"  # somebody asked for other points
+PAGE = "page"  # cause of a reseeding that the user has requested
 _REKEY_SHARE = 0.8
-# Frames after which the threshold is learnt from one: by then its contact has been computed beside the next ones.
+# Frames after which the threshold is learnt from a frame: by then its contact has been computed beside the next frames.
 _LEARNT_AFTER = 2
-_EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
-_PIXELS = 20_000  # that are read to find that out
+_EVERYTHING = 0.98  # share of the pixels: a threshold that this many exceed is rejected
+_PIXELS = 20_000  # read to estimate this share
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What a stream needs to know of its scene.
+    """Experiment settings of a stream.
 
     Attributes:
-        points: N that are seeded at most, the size of all results of points.
+        points: N, the largest number of seeded points and the size of all results of points.
         bit_depth: of a pixel.
         mm_per_px: of the contact view.
-        topography_to_contact: (2, 3) px to px.
+        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
         region: (H, W) bool of the topography view, in which points are seeded.
         threshold: relative intensity loss above which a pixel touches; None to measure it.
-        rekey_share, rekey_frames: a new key frame where less than this share of its points is tracked, or after so
-            many frames.
+        rekey_share, rekey_frames: a new key frame is taken when less than this share of its points is tracked, or after
+            so many frames.
     """
 
     points: int
@@ -57,12 +57,12 @@ class TrackerSettings:
 
 
 class Frame:
-    """A frame of a stream.
+    """Frame of a stream.
 
     Attributes:
-        number: of the frame, which grows; others may be missing.
+        number: of the frame; numbers increase but may have gaps.
         views: both views (1, 1, H, W) by name.
-        blocks, status: what `StreamTracker.inspect` has found.
+        blocks, status: block means and status, set by `StreamTracker.inspect`.
     """
 
     def __init__(self, views: Mapping[str, Array], number: int = 0) -> None:
@@ -73,16 +73,17 @@ class Frame:
 
 @dataclass
 class Work:
-    """A frame that is computed.
+    """Work on a frame from `StreamTracker.begin` to its results.
 
     Attributes:
-        index: among all frames of the stream, from 0.
-        frame: that it is of.
-        images: of both views, as the engine holds them.
-        guess: (N, 2) px where points are expected; None before any were seeded.
-        measure: whether the threshold is to be found in it.
-        found, measured: what was computed of its points, and the threshold in it.
-        contact: once it is computed (`StreamTracker.results_of`); `computing` guards it.
+        index: among all frames of the stream that have begun, from 0.
+        frame: the frame itself.
+        images: both views, in the engine's own representation.
+        guess: (N, 2) px, predicted positions; None before any points were seeded.
+        threshold: relative intensity loss above which a pixel touches; NaN while unknown.
+        measure: whether the threshold is to be measured in it.
+        found, measured: points found in it, and the threshold measured in it.
+        contact: set once it is computed (`StreamTracker.results_of`); guarded by the lock `computing`.
     """
 
     index: int
@@ -98,7 +99,7 @@ class Work:
 
 
 class Event(NamedTuple):
-    """Something that happened at a frame, with what there is to say of it."""
+    """Event at a frame, with its details."""
 
     name: str
     frame: int
@@ -106,17 +107,17 @@ class Event(NamedTuple):
 
 
 class FrameOutcome(NamedTuple):
-    """What became of a frame.
+    """Outcome of a frame.
 
     Attributes:
-        work: that it is of.
-        status: number of `FRAME_STATUS`.
-        found: of its points; None where the frame does not count.
-        seeding: points that `found` is of; None before any were seeded.
-        tracked: points that are found in it.
-        threshold: with which it was computed, NaN while unknown.
-        key_frame: number of the frame with which it was compared.
-        restart: how often points had been seeded.
+        work: of the frame.
+        status: index into `FRAME_STATUS`.
+        found: its points; None if the frame does not count.
+        seeding: seeded points to which `found` belongs; None before any were seeded.
+        tracked: number of points with status TRACKED.
+        threshold: with which its contact is computed; NaN while unknown, and if the frame does not count.
+        key_frame: number of its key frame.
+        restart: number of times that points had been seeded.
     """
 
     work: Work
@@ -130,15 +131,16 @@ class FrameOutcome(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """The motion of points after a frame, by its number."""
+    """Motion of the points after the frame of this number."""
 
     motion: PointMotion
     number: int
 
 
 class _Change(NamedTuple):
-    """New points, or a new key frame for the same, from a frame of the past: its number and picture, and what was found
-    of the points in it. Decided after so many frames.
+    """Reseeding, or a new key frame for the same points, from an earlier frame.
+
+    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided.
     """
 
     after: int
@@ -149,9 +151,9 @@ class _Change(NamedTuple):
 
 
 class _Unlearnt(NamedTuple):
-    """A frame from which the threshold is to be learnt, or one that is to be passed over.
+    """Frame from which the threshold is to be learnt, or which is to be skipped unless it `counts`.
 
-    It keeps its number: a frame that has its results is used for another picture.
+    It stores the number of the frame, because a `Frame` with results is reused for another image.
     """
 
     number: int
@@ -160,34 +162,34 @@ class _Unlearnt(NamedTuple):
 
 
 class _Doubtful(NamedTuple):
-    """A frame of which the next one says whether it counts."""
+    """Deferred frame: its successor decides whether it counts."""
 
     work: Work
     resolved: Resolved
 
 
 class StreamTracker:
-    """State of a stream, and what leads from one frame to the next.
+    """State of a stream and its update from frame to frame.
 
-    Of a frame `begin` predicts where points are, `compute` finds contact and points, in any thread, and `finish` does
-    what needs the frames before: it recovers lost points and decides whether the frame counts. `results_of` gives its
-    results, while the next frames are tracked. Each takes frames in their order; up to `lag` of them may have begun and
-    not be finished. What a frame gives depends on the frames before it and on nothing else, neither the clock nor which
-    of them happened to be done.
+    `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
+    frames: it recovers lost points and decides whether the frame counts. `results_of` computes contact and results
+    while the next frames are tracked. Each method takes frames in order; up to `lag` frames may have begun without
+    being finished. The results of a frame depend only on the frames before it, not on wall-clock time or on the
+    progress of threads.
 
-    Where no threshold is given, nothing touches until one was measured.
+    Without a given threshold there is no contact until one was measured.
 
     Args:
         engine: that computes.
-        settings: of the scene.
+        settings: experiment settings.
         glass, dark: (H, W) contact view of the empty glass, and without light.
-        lag: frames that have begun and are not finished, at most; a prediction leads so many frames ahead.
+        lag: largest number of frames that have begun and are not finished; predictions lead so many frames ahead.
 
     Attributes:
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
-        measures: whether it is found in frames.
-        found: points that were seeded at the last restart.
-        restarts, keys: how often points were seeded, and key frames were taken beside.
+        measures: whether it is measured in frames.
+        found: number of points seeded at the last restart.
+        restarts, keys: number of seedings, and of further key frames taken for the same points.
     """
 
     def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array, lag: int = 1) -> None:
@@ -203,7 +205,7 @@ class StreamTracker:
         self._upkeep = Upkeep(settings.rekey_share or _REKEY_SHARE, settings.rekey_frames or math.inf)
         self._points: Points | None = None
         self._latest: _Known | None = None
-        self._known: dict[int, _Known | None] = {}  # after each of the last frames, by their index
+        self._known: dict[int, _Known | None] = {}  # motion after each of the last frames, by their index
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
@@ -214,7 +216,7 @@ class StreamTracker:
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
-        """Computes an empty frame: the first call of an engine takes longer than others."""
+        """Process an empty frame in a separate tracker, because the first calls of an engine take longer."""
         other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
         for number in range(2):
             frame.number = number
@@ -227,20 +229,20 @@ class StreamTracker:
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
-        """Notes what a frame says of itself; in any thread."""
+        """Set the block means of a frame and the status that it has by itself; in any thread."""
         frame.blocks, frame.status = self._check.look(frame.views)
 
     def reseed(self) -> None:
-        """Takes other points as soon as may be; from any thread."""
+        """Request a reseeding of the points as soon as possible; from any thread."""
         self._asked = True
 
     @property
     def under_way(self) -> int:
-        """Frames that have begun and are not finished."""
+        """Return the number of frames that have begun and are not finished."""
         return self._begun - self._finished
 
     def must_wait(self, frame: Frame) -> bool:
-        """Whether all frames before have to be finished before this one begins."""
+        """Return whether all earlier frames must be finished before this one begins."""
         return bool(
             self._search.due(self._begun) is not None
             or self._due_change() is not None
@@ -264,18 +266,20 @@ class StreamTracker:
         return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
 
     def compute(self, work: Work) -> None:
-        """Finds the points of a frame that has begun, in any thread."""
+        """Track the points of a frame that has begun, and measure the threshold if requested; in any thread."""
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
             found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
-            # An empty glass has a threshold too, of noise or below none; and valleys of the skin do not touch.
+            # An empty glass gives a threshold too, of noise or outside 0 to 1. In contact the valleys of the skin do
+            # not touch: one that nearly all pixels exceed is wrong.
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
-        """Return the outcomes that are known once a frame was computed, and events: the outcome of a deferred frame
-        before it, and its own unless it is deferred too.
+        """Finish a computed frame and return outcomes and events.
+
+        The outcomes are that of a deferred frame before it, and its own unless it is deferred too.
         """
         passed: list[Event | FrameOutcome] = [*self.settle(work.frame)]
         frame, points = work.frame, self._points
@@ -309,9 +313,9 @@ class StreamTracker:
         return [self._accepted(work, resolved)]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
-        """The results of a frame by the names of variables, without the axis of frames; None where it does not count.
+        """Return the results of a frame by variable name, without the frame axis; None if it does not count.
 
-        Frame after frame in their order, in any thread: none is tracked by them.
+        Frames are given in order, from any thread: tracking does not depend on the results.
         """
         if outcome.found is None or outcome.seeding is None:
             return None
@@ -322,14 +326,14 @@ class StreamTracker:
 
     @property
     def slipping(self) -> bool:
-        """Whether skin in contact slips, as the last frame that has results said."""
+        """Return whether skin in contact slips, according to the last frame with results."""
         return self._results.slipping
 
     def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
-        """What became of the frame that was in doubt, now that the next one has come, None for none.
+        """Finalise the deferred frame once its successor has arrived (None: there is none) and return its outcome.
 
-        Nothing else is learnt from it: frames behind it may have begun, and what they are given is not to depend on how
-        far they have got.
+        No threshold is learnt from it and no reseeding or key frame is taken from it: later frames may have begun, and
+        their inputs must not depend on how far they have got.
         """
         if self._doubtful is None:
             return []
@@ -341,12 +345,12 @@ class StreamTracker:
         return [self._accepted(work, resolved, late=True)]
 
     def _guess(self, number: int) -> Array | None:
-        """Where points are expected, by what was known `lag` frames before: whether or not newer frames have ended."""
+        """Return the predicted positions from the motion known `lag` frames ago, even if newer frames have ended."""
         known = self._known.get(self._begun - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
     def _know(self, motion: _Known) -> None:
-        """What is known before the next frames begin, as if it had been known all along."""
+        """Set the motion from which the next frames are predicted, as if it had been known for `lag` frames."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
 
@@ -354,7 +358,7 @@ class StreamTracker:
         return max(1, number - self._latest.number) if self._latest is not None else 1
 
     def _touching(self, frame: Frame, threshold: float) -> float:
-        """Share of the pixels that lose more of the light of the empty glass."""
+        """Return the share of the pixels whose intensity loss relative to the empty glass exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
         every = max(1, round((view.size / _PIXELS) ** 0.5))
         seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
@@ -383,14 +387,14 @@ class StreamTracker:
         return events
 
     def _seed(self, view: Array) -> Array:
-        """Points (N, 2) px worth tracking in a view (1, H, W), NaN beyond those that are found."""
+        """Return points (N, 2) px worth tracking in a view (1, H, W), padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
         found = self._engine.detect(self._engine.images(view), self._settings.region, len(points))
         points[: len(found)] = found
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Takes new points where they are more than those that are followed."""
+        """Reseed if this gives more points than were tracked; on a user's request, if it gives any."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
@@ -398,7 +402,7 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Follows these points (N, 2) px of a frame from now on; all that is counted from onsets begins again."""
+        """Track these points (N, 2) px of a frame from now on; everything counted from contact onsets begins again."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
@@ -411,7 +415,7 @@ class StreamTracker:
         return Event("restart", number, {"cause": cause, "points": self.found})
 
     def _rekey(self, change: _Change) -> Event:
-        """Compares the next frames with a newer one, in which the points lay at `change.points`."""
+        """Take a newer key frame, in which the points lie at `change.points`."""
         assert self._points is not None
         known, motion = known_of(change.points), self._points.motion
         kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
@@ -423,22 +427,22 @@ class StreamTracker:
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(known.sum())})
 
-    # What becomes of a frame.
+    # Outcome of a frame.
 
     def _skipped(self, work: Work, status: int) -> FrameOutcome:
-        """A frame that is no picture of the trial: nothing is learnt from it."""
+        """Return the outcome of a frame that does not count; nothing is learnt from it."""
         self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> FrameOutcome:
         assert self._points is not None
         frame, index = work.frame, work.index
-        # One that was in doubt is accepted as the next one ends, and by then another may have begun.
+        # A deferred frame is accepted when its successor ends; by then another frame may have begun.
         found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index + late)
         self._latest = _Known(self._points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
-            # The first one that is found: it counts at once, as nothing else is known.
+            # The first threshold that is measured applies at once, as there is no other.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
@@ -457,7 +461,7 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Contact of a frame, by whichever thread needs it first."""
+        """Return the contact of a frame, computed by the first thread that needs it."""
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)

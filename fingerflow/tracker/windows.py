@@ -1,4 +1,4 @@
-"""How alike windows are in two pictures, and which deformation makes them more so: NumPy on samples of an engine."""
+"""Correlation of windows in two images, and the deformation that matches them best: NumPy on samples of an engine."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from fingerflow.engines.together import Steps
 
 Array = NDArray[Any]
-#: Of frames (N,), places (N, 2), warps (N, 2, 2): (N, m) grey levels.
+#: Returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps (N, 2, 2).
 Sampler = Callable[[Array, Array, Array], Steps[Array]]
 
 _LEAST_VARIANCE = 1e-12
 _ROUNDS = 4
-_BESIDE = 0.5  # px, over which a slope is taken
-_FARTHEST = 0.15  # by which a round may change a number of a deformation
+_BESIDE = 0.5  # px, half the step of the central differences
+_FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
 
 
 class Centred(NamedTuple):
@@ -34,7 +34,10 @@ class Centred(NamedTuple):
 
 
 def correlation(one: Array, other: Array) -> Array:
-    """Return the normalised correlation (N,) of windows (N, m): whatever gain and offset; NaN where one is blank."""
+    """Return the normalised correlation (N,) of windows (N, m), NaN where one is blank.
+
+    It does not depend on gain and offset.
+    """
     return correlation_of(Centred.of(one), Centred.of(other))
 
 
@@ -49,17 +52,16 @@ def correlation_of(first: Centred, second: Centred) -> Array:
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
 ) -> Steps[Array]:
-    """Return the deformation (N, 2, 2), near `warp`, by which windows come nearest to what they were, their middles
-    held.
+    """Return the deformations (N, 2, 2), near `warp`, for which windows match the earlier ones best, centres fixed.
 
-    Gauss-Newton for a T + b = I(place + F w) in gain, offset and the four numbers of F: what remains of a window whose
-    middle is elsewhere is not explained by it.
+    Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As the centre is fixed,
+    a window with a wrong centre keeps a residual.
 
     Args:
-        first: (N, m) the windows then.
-        sample: of the pictures now.
-        number: (N,) pictures of the windows; places (N, 2) px; warp (N, 2, 2).
-        window, step: px, side of a window and steps of its grid.
+        first: (N, m) grey levels T of the earlier windows.
+        sample: samples windows in the present images I.
+        number, places, warp: image (N,), centre (N, 2) px and initial deformation (N, 2, 2) of the windows.
+        window, step: px, side of a window and step of its grid.
     """
     offsets = np.arange(-(window // 2), window // 2 + 1, step, dtype=np.float32)
     steps = np.stack([one.ravel() for one in np.meshgrid(offsets, offsets)], axis=-1)

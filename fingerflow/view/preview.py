@@ -12,11 +12,11 @@ from fingerflow.engines.together import run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, plan
 from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
+from fingerflow.pipeline.stages.preparation.loading import LoadingStage
+from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs, read_frames
-from fingerflow.pipeline.stages.trial.loading import LoadingStage
 from fingerflow.results.store import MemoryStore
 from fingerflow.schema.scene import Scene
 
@@ -121,10 +121,10 @@ class Previewer:
         points = trial.results["position_px"][np.array([frame])][0]
         return Chosen(points, frame, list(tracking.warnings))
 
-    def _begin_trial(self, stored: int = 1) -> Trial:
+    def _begin_trial(self, stored: int = 1) -> RunContext:
         """With room for the results of some frames: the stages write those of the ones that they step through."""
         planned = plan(None, self.scene)
-        return Trial(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
+        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
 
     def _begin(self, stage: Any) -> Any:
         with torch.inference_mode():

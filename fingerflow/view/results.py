@@ -119,7 +119,7 @@ class Results:
 
     def median_of_points(self, key: str, points: Sequence[int]) -> Values:
         """(frames,) median over these points of what is not NaN."""
-        from fingerflow.pipeline.stages.trial.series import (
+        from fingerflow.pipeline.stages.preparation.series import (
             nanmedian,  # with it comes torch: not before the first picture
         )
 

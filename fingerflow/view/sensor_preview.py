@@ -12,7 +12,7 @@ from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX, MarkerContactStage
 from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage, Seen
-from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
 from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of
 
@@ -69,7 +69,7 @@ class SensorPreviewer(Previewer):
         """The stage of the contact of these frames alone, whose markers have been followed through them."""
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
-        trial = Trial(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})
+        trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})
         markers = MarkerStage(trial)
         markers.look = self._markers.look
         view = self.scene.views["camera"]

@@ -14,7 +14,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
 from fingerflow.export.recipe import GRAPHS, load_recipe
-from fingerflow.export.trial import cases, completed, feed
+from fingerflow.export.verification_frames import cases, completed, feed
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """

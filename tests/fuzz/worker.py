@@ -204,9 +204,9 @@ def _streamed(path: Path) -> None:
 
 
 def _played(path: Path) -> None:
-    from fingerflow.player.sources import open_recording
+    from fingerflow.player.sources import open_source
 
-    source = open_recording(path, (HEIGHT, WIDTH), "uint8")
+    source = open_source(path, (HEIGHT, WIDTH), "uint8")
     while source.read() is not None:
         pass
     source.close()

@@ -21,8 +21,8 @@ from fingerflow.pipeline import reuse
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.pipeline.reuse import keys_of
 from fingerflow.pipeline.stages import all_stages
-from fingerflow.pipeline.stages.stage import Stage, Trial
-from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs
+from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
+from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.recordings import Recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.result import scene_of
@@ -334,7 +334,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
 
     monkeypatch.setattr(fingerflow.pipeline.run, "open_inputs", opened)
     # The number of frames belongs to the identity of the recording.
-    monkeypatch.setattr(Trial, "__len__", lambda trial: len(trial.inputs.recording))
+    monkeypatch.setattr(RunContext, "__len__", lambda trial: len(trial.inputs.recording))
     return seen
 
 

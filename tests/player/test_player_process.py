@@ -13,7 +13,7 @@ from tiny_bundle import POINTS
 
 from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import player
-from fingerflow.export.rooms import carry_rooms
+from fingerflow.export.carried_modules import carry_modules
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], dict[str, str]]:
     """The player of the bundle's folder, as a technician starts it."""
-    carry_rooms(stream.bundle)
+    carry_modules(stream.bundle)
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     return [str(python), "-m", "fingerflow.player", *options, *arguments], variables()
 

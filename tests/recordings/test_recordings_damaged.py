@@ -227,7 +227,7 @@ def test_a_data_set_by_its_path_is_found_every_time(tmp_path):
 
 
 def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path, monkeypatch):
-    from fingerflow.recordings.guard import walker
+    from fingerflow.recordings.guard import child_process
 
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["x"] = GREY
@@ -239,11 +239,11 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
         script = tmp_path / "walk.py"
         script.write_text(f"import sys\nprint(chr(34) + 'ready' + chr(34), flush=True)\nfor _ in sys.stdin: {body}\n")
         with monkeypatch.context() as patch:
-            patch.setattr(walker.walk, "__file__", str(script))
-            patch.setattr(walker, "_walker", walker._Walker())
+            patch.setattr(child_process.child_reader, "__file__", str(script))
+            patch.setattr(child_process, "_child", child_process._ChildProcess())
             with pytest.raises(FingerflowError, match=rf"a\.h5: is damaged, or no hdf5 file: .*{said}.*copy it again"):
                 open_recording(tmp_path / "a.h5")
-            walker._walker.close()
+            child_process._child.close()
     assert len(open_recording(tmp_path / "a.h5")) == 6
 
 
@@ -427,12 +427,12 @@ def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
 
 
 def test_an_interrupted_look_answers_for_no_other_file(tmp_path, monkeypatch):
-    from fingerflow.recordings.guard import walker
+    from fingerflow.recordings.guard import child_process
 
     for name in ("a.h5", "b.h5"):
         with h5py.File(tmp_path / name, "w") as file:
             file["x"] = GREY
-    walks = walker._Walker()
+    walks = child_process._ChildProcess()
     assert walks.ask(tmp_path / "a.h5", "hdf5") == ""
 
     def interrupted(process, line):

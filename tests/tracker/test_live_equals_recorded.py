@@ -12,7 +12,7 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
-from fingerflow.pipeline.stages.trial.inputs import Inputs
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM

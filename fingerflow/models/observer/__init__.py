@@ -1,4 +1,4 @@
-"""The ideal observer: how well a metric of a trial tells what participants felt (Willemet et al. 2021, supplement)."""
+"""Ideal observer: how well a trial's metric predicts what participants felt (Willemet et al. 2021, supplement)."""
 
 from fingerflow.models.observer.contrast import PermutationTest, compare_auc, permutation_test
 from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime, z_roc_slope

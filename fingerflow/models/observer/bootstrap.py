@@ -1,6 +1,6 @@
-"""Intervals by the bootstrap: whole participants, or trials, drawn again; bias-corrected and accelerated.
+"""Bootstrap intervals, bias-corrected and accelerated, resampling whole participants or trials.
 
-Every statistic is a function of weights, how often each trial was drawn, so that all resamples are computed at once.
+Every statistic is a function of weights, the number of draws of each trial, so all resamples are computed at once.
 """
 
 import math
@@ -18,22 +18,22 @@ Values = NDArray[np.float64]
 Weights = tuple[Values, ...]
 # From the weights (R, n) of each sample to the statistic (R,).
 Statistic = Callable[..., Values]
-Participants = tuple[ArrayLike, ArrayLike] | None  # who made the trials of either kind
+Participants = tuple[ArrayLike, ArrayLike] | None  # participant of each correct and of each incorrect trial
 
 _AT_ONCE = 4_000_000  # weights in memory
-# Beside the seed: data simulated with the same seed must not share its random numbers with the resampling.
+# Added to the seed: data simulated with the same seed must not share random numbers with the resampling.
 _STREAM = 0x0B007
-# More units than this are left out in groups: their acceleration is next to nothing, and one by one they take n^2.
+# More units than this are left out in groups: their acceleration is negligible, and one by one they cost n^2.
 _JACKKNIFED = 400
 FEWEST_CLUSTERS = 3
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Which unit each trial of each sample belongs to: a participant, shared by the samples, or the trial itself."""
+    """Resampling unit of each trial of each sample: a participant, shared by the samples, or the trial itself."""
 
     units: tuple[NDArray[np.intp], ...]
-    participants: int  # 0: each trial is its own
+    participants: int  # 0 where each trial is its own unit
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -41,10 +41,10 @@ class Samples:
 
 
 def samples_of(values: Sequence[Values], participants: Sequence[ArrayLike] | None) -> tuple[list[Values], Samples, int]:
-    """Samples without their NaN, whom their trials belong to, and how many trials were NaN.
+    """Return the samples without NaN, the resampling unit of each trial, and the number of NaN trials.
 
     Raises:
-        ValueError: infinite values, or participants that do not fit the values.
+        ValueError: infinite values, or participants whose shapes do not match the values.
     """
     for sample in values:
         if np.isinf(sample).any():
@@ -66,17 +66,17 @@ def samples_of(values: Sequence[Values], participants: Sequence[ArrayLike] | Non
 def bca_interval(
     statistic: Statistic, samples: Samples, level: float, resamples: int, seed: int
 ) -> tuple[Interval, str]:
-    """Interval of a statistic, and why there is none or what is odd about it.
+    """Compute the interval of a statistic, and a reason if there is none or if resamples were dropped.
 
-    Efron's BCa: the bootstrap's quantiles, moved by its bias and by the acceleration of a jackknife over the same
-    units. Samples of few units are too narrow by it; the normal quantiles in it are therefore those of Student's t
+    Efron's BCa takes quantiles of the bootstrap, shifted by its bias and by the acceleration from a jackknife over the
+    same units. It is too narrow for few units; its normal quantiles are therefore replaced by those of Student's t
     times (n / (n - 1))^(1/2) for n units (Hesterberg 2015).
 
-    Coverage measured on Gaussians in clusters (those of `tests/models/observer`), intervals of 95 %, 2,000 resamples:
-    with 20 participants d' was inside in 93.3 % and the area under the ROC in 93.7 % (1,500 draws, error 0.6 %), with
-    8 in 94.2 and 93.0 % (500 draws, error 1 %). So some 1.5 % are missing. Student's t on the jackknife had 94.2 and
-    93.9 %, and 95.8 and 95.2 % in the same draws: nearer, but its intervals are symmetric about the estimate and can
-    pass an area of 1.
+    Coverage measured on clustered Gaussians (those of `tests/models/observer`), intervals of 95 %, 2,000 resamples:
+    with 20 participants 93.3 % for d' and 93.7 % for the area under the ROC (1,500 draws, error 0.6 %), with 8
+    participants 94.2 and 93.0 % (500 draws, error 1 %), so about 1.5 % are missing. Student's t on the jackknife had
+    94.2 and 93.9 %, and 95.8 and 95.2 %, in the same draws. That is nearer, but its intervals are symmetric about the
+    estimate and can exceed an area of 1.
 
     Raises:
         ValueError: level or resamples are out of range.
@@ -106,7 +106,7 @@ def bca_interval(
     shifted = bias + np.array([-reach, reach])
     quantiles = ndtr(bias + shifted / np.maximum(1 - acceleration * shifted, 1e-3))
     low, high = np.quantile(finite, quantiles)
-    # A quantile may pass the estimate itself by a hair where the statistic takes few values.
+    # A quantile may pass the estimate slightly where the statistic takes few values.
     return (float(min(low, estimate)), float(max(high, estimate))), reason
 
 
@@ -127,13 +127,13 @@ def _resampled(samples: Samples, resamples: int, draw: np.random.Generator) -> I
 
 
 def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
-    """How often each of n units is drawn in n draws, (rows, n)."""
+    """Return how often each of n units is drawn in n draws, (rows, n)."""
     flat = draw.integers(0, units, (rows, units)) + units * np.arange(rows)[:, None]
     return np.bincount(flat.ravel(), minlength=rows * units).reshape(rows, units).astype(np.float64)
 
 
 def _acceleration(statistic: Statistic, samples: Samples) -> float:
-    """Skewness of the influence of the units, by leaving out one at a time (Efron & Tibshirani 1993, 14.15)."""
+    """Compute the skewness of the units' influence, leaving out one at a time (Efron & Tibshirani 1993, 14.15)."""
     influences = []
     if samples.participants:
         left = _each(statistic, _without_one(samples, range(len(samples.sizes)), samples.participants))

@@ -1,4 +1,4 @@
-"""Is a metric better than none, or than another one? Permutation p and paired difference of two areas under the ROC."""
+"""Comparison of metrics: permutation test of one area under the ROC, and paired difference of two."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from fingerflow.models.observer.bootstrap import Participants, Values, bca_inter
 from fingerflow.models.observer.estimate import UNKNOWN, Estimate
 from fingerflow.models.observer.weighted import auc_statistic
 
-# Beside the seed: data simulated with the same seed must not share its random numbers with the permutations.
+# Added to the seed: data simulated with the same seed must not share random numbers with the permutations.
 _STREAM = 0x9E2A
 _AT_ONCE = 4_000_000  # labels in memory
 
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """`p` two-sided, of `auc` under exchanged answers; `trials` of either kind, `missing` were NaN."""
+    """Two-sided `p` of `auc` under permuted answers; `trials` correct and incorrect, `missing` were NaN."""
 
     p: float
     auc: float
@@ -36,10 +36,10 @@ def permutation_test(
     permutations: int = 5000,
     seed: int = 0,
 ) -> PermutationTest:
-    """Does the metric tell correct from incorrect trials at all? Answers are exchanged within each participant.
+    """Test whether the metric separates correct from incorrect trials, permuting answers within each participant.
 
-    The p-value is (1 + number of permutations whose area is as far from what it is on average) / (1 + permutations),
-    never 0. Arguments as in `auc`.
+    The p-value is (1 + number of permutations whose area deviates from its expectation at least as much as the observed
+    area) / (1 + permutations), never 0. Arguments as in `auc`.
 
     Raises:
         ValueError: fewer than 100 permutations, or as in `auc`.
@@ -52,7 +52,7 @@ def permutation_test(
     if min(trials) == 0:
         reason = f"{first.size} correct and {second.size} incorrect trials: 1 of each is needed"
         return PermutationTest(np.nan, np.nan, permutations, seed, trials, missing, reason)
-    # One block for all where nobody is named: its trials are exchangeable.
+    # Without participants all trials form one block, in which they are exchangeable.
     blocks = np.concatenate(samples.units) if samples.participants else np.zeros(sum(trials), np.intp)
     ranks = rankdata(np.concatenate([first, second]))
     order = np.argsort(blocks, kind="stable")
@@ -67,7 +67,7 @@ def permutation_test(
         sums.append(is_correct[np.argsort(keys, axis=1)] @ ranks)
     areas = (np.concatenate(sums) - first.size * (first.size + 1) / 2) / (first.size * second.size)
     area = float((is_correct @ ranks - first.size * (first.size + 1) / 2) / (first.size * second.size))
-    # Within participants the mean of the areas is not 1/2: those who answer better may have larger metrics.
+    # Within participants the expected area is not 1/2: those who answer better may have larger metrics.
     share = np.bincount(blocks, is_correct) / np.bincount(blocks)
     expected = (float(share[blocks] @ ranks) - first.size * (first.size + 1) / 2) / (first.size * second.size)
     as_far = np.count_nonzero(np.abs(areas - expected) >= abs(area - expected) - 1e-12)
@@ -83,9 +83,9 @@ def compare_auc(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Area under the ROC of one metric less that of another, in the same trials.
+    """Estimate the area under the ROC of one metric minus that of another, in the same trials.
 
-    Both areas are computed on the same resamples, so that what the metrics share cancels.
+    Both areas are computed on the same resamples, so that variation common to the metrics cancels.
 
     Args:
         first, second: (correct, incorrect) of either metric; the n-th trial of each is the same trial. Trials that
@@ -93,7 +93,7 @@ def compare_auc(
         participants: of the trials, (correct, incorrect).
 
     Returns:
-        `Estimate` of the difference: its interval leaves out 0 where the metrics differ at that level.
+        `Estimate` of the difference: its interval excludes 0 where the metrics differ at that level.
 
     Raises:
         ValueError: the metrics have different numbers of trials, or as in `auc`.

@@ -1,4 +1,4 @@
-"""How well a metric tells correct from incorrect trials: d', the area under the ROC, and the slope of the z-ROC."""
+"""Discrimination of correct and incorrect trials by a metric: d', area under the ROC, and slope of the z-ROC."""
 
 import math
 from collections.abc import Callable
@@ -20,15 +20,15 @@ def d_prime(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Sensitivity d' = |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
+    """Estimate the sensitivity d' = |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
 
-    From the trials themselves, variances with n - 1; the paper takes both from Gaussians fitted to a histogram
-    (`printed_observer`). The interval is that of the signed difference, folded: it starts at 0 where the sign is open.
+    Means and variances (with n - 1) are those of the trials; the paper takes both from Gaussians fitted to a histogram
+    (`printed_observer`). The interval is that of the signed difference, folded: it starts at 0 if it contained 0.
 
     Args:
-        correct, incorrect: (n,) the metric in the trials of either kind, any unit; NaN is left out and counted.
-        participants: who made the trials of either kind, (n,) each. Their trials go together, so whole participants are
-            drawn in the bootstrap; without this each trial counts as independent, which it seldom is.
+        correct, incorrect: (n,) the metric in correct and incorrect trials, any unit; NaN is left out and counted.
+        participants: participant of each correct and incorrect trial, (n,) each. The bootstrap then draws whole
+            participants; without them each trial counts as independent, which it seldom is.
         level: of the interval.
         resamples, seed: of the bootstrap; intervals by BCa, see `bca_interval`.
 
@@ -36,7 +36,7 @@ def d_prime(
         `Estimate`. NaN with the reason for fewer than two trials of a kind, or a metric that does not vary.
 
     Raises:
-        ValueError: infinite values, participants that do not fit, level or resamples out of range.
+        ValueError: infinite values, participants that do not match, level or resamples out of range.
     """
 
     def of(values: list[Values]) -> Statistic:
@@ -58,9 +58,9 @@ def auc(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Area under the ROC: how often a correct trial has the larger metric than an incorrect one, ties by halves.
+    """Estimate the area under the ROC: the probability that a correct trial has the larger metric, ties counting half.
 
-    1/2 says nothing, below 1/2 correct trials have the smaller metric. Arguments and errors as in `d_prime`. NaN with
+    1/2 is chance; below 1/2 correct trials have the smaller metric. Arguments and errors as in `d_prime`. NaN with
     the reason without a trial of either kind; no interval where the two kinds do not overlap, because every resample
     then gives the same area.
     """
@@ -78,9 +78,9 @@ def z_roc_slope(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Slope of the ROC in normal deviates, z(hits) against z(false alarms), for Gaussians: s_2 / s_1.
+    """Estimate the slope of the ROC in normal deviates, z(hits) against z(false alarms), for Gaussians: s_2 / s_1.
 
-    1 for equal variances; otherwise d' is a mean over unequal spreads, and no one number describes the ROC.
+    It is 1 for equal variances. Otherwise d' averages unequal spreads, and no single number describes the ROC.
     Arguments and errors as in `d_prime`.
     """
 
@@ -99,9 +99,9 @@ def criterion_for_hits(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """The criterion that the metric exceeds in a given share of the correct trials, 75 % in Willemet et al. 2021.
+    """Estimate the criterion that a given share of the correct trials exceeds, 75 % in Willemet et al. 2021.
 
-    In the metric's own unit; between trials by linear interpolation, no distribution assumed.
+    In the metric's own unit, interpolated linearly between trials; no distribution is assumed.
 
     Raises:
         ValueError: hits is not between 0 and 1, or as in `d_prime`.
@@ -151,7 +151,7 @@ def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Valu
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Quantile of values drawn `weights` times, (R,); without weights NumPy's linear one."""
+    """Return the quantile (R,) of values drawn `weights` times; for weights of 1 it is NumPy's linear quantile."""
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

@@ -1,4 +1,4 @@
-"""A number with its interval, and all that is needed to get the same one again."""
+"""An estimate with its interval, and the settings that reproduce it."""
 
 import math
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Estimate:
-    """What an estimator of this package gives.
+    """Result of an estimator of this package.
 
     Attributes:
-        value: NaN where it cannot be had.
-        interval: lower and upper limit; NaN where they cannot be had.
+        value: NaN where it cannot be computed.
+        interval: lower and upper limit; NaN where they cannot be computed.
         level: of the interval, as 0.95.
         resamples, seed: of the bootstrap or permutation behind it.
-        trials: how many it rests on, one count a class (correct, incorrect), and `missing`, how many were NaN.
-        participants: how many were resampled; 0 where trials were.
+        trials: number used, one count per class (correct, incorrect); `missing` counts those that were NaN.
+        participants: number resampled; 0 where trials were resampled.
         reason: why a number is NaN, or what to know about it; empty otherwise.
     """
 

@@ -1,4 +1,4 @@
-"""One group of participants or two? A mixture of Gaussians with evidence for either."""
+"""One or two groups of participants: a mixture of Gaussians with evidence for either."""
 
 import math
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ Values = NDArray[np.float64]
 
 _FEWEST = 6
 _STEPS = 100  # of expectation and maximisation
-_STREAM = 0x6A0  # beside the seed: data simulated with the same seed must not share its random numbers
+_STREAM = 0x6A0  # added to the seed: data simulated with the same seed must not share random numbers
 
 
 @dataclass(frozen=True)
 class Groups:
-    """`participant_groups`'s answer; NaN where it cannot be had.
+    """Result of `participant_groups`; NaN where a number cannot be computed.
 
     Attributes:
-        groups: 2 where the bootstrap test is significant at 5 %, else 1; 0 where it cannot be told.
+        groups: 2 where the bootstrap test is significant at 5 %, else 1; 0 where it cannot be determined.
         means, deviation, shares: of the two groups, the lower one first; one deviation for both.
         membership: (P,) probability of belonging to the higher group; NaN where the value is.
-        border: the value at which either group is as likely.
+        border: the value at which both groups are equally likely.
         bic_one, bic_two: Bayesian information criterion of one and of two groups; the smaller is better.
-        likelihood_ratio: 2 (log likelihood of two - of one group), and `p`, how often one group gives as much.
-        participants, missing, resamples, seed: behind it.
+        likelihood_ratio: 2 (log likelihood of two - of one group); `p`, its p-value under one group.
+        participants, missing, resamples, seed: participants used and left out as NaN; settings of the test.
         reason: why a number is NaN; empty otherwise.
     """
 
@@ -47,14 +47,14 @@ class Groups:
 
 
 def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) -> Groups:
-    """Split participants by a number each, as the median difference of divergence (Willemet et al. 2021, S12 A).
+    """Split participants by one number each, as the median difference of divergence (Willemet et al. 2021, S12 A).
 
-    The paper splits by eye because the histogram is bimodal. Here a mixture of two Gaussians of one deviation (with
-    two the likelihood has no bound) stands against one Gaussian. Their likelihood ratio follows no tabled distribution,
-    so its p-value comes from samples of one Gaussian (McLachlan 1987); BIC stands beside it.
+    The paper splits by eye because the histogram is bimodal. Here a mixture of two Gaussians with a common deviation is
+    compared with one Gaussian; with two deviations the likelihood is unbounded. The likelihood ratio follows no
+    tabulated distribution, so its p-value comes from samples of one Gaussian (McLachlan 1987). BIC is given as well.
 
     Args:
-        values: (P,) one a participant; NaN is left out and counted.
+        values: (P,) one per participant; NaN is left out and counted.
         resamples, seed: of the test.
 
     Raises:
@@ -105,9 +105,9 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
 
 def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values]:
-    """Share of the higher group, both means, their deviation and the likelihood ratio, (R,), of samples (R, P).
+    """Return share of the higher group, both means, their deviation and the likelihood ratio, (R,), for samples (R, P).
 
-    Samples have mean 0 and variance 1. The best of three starts: groups of a quarter, a half and three quarters.
+    Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """
     best: list[Values] | None = None
     for quarter in (0.25, 0.5, 0.75):
@@ -136,7 +136,7 @@ def _from_start(samples: Values, higher: float) -> list[Values]:
         lower = np.log1p(-share) - (samples - low) ** 2 / (2 * variance)
         total = np.logaddexp(upper, lower)
         belongs = np.exp(upper - total)
-    # One Gaussian of variance 1 has the log likelihood -1/2 a value, the constant aside.
+    # One Gaussian of variance 1 has the log likelihood -1/2 per value, up to the constant.
     likelihood = (total - np.log(variance) / 2).sum(1) + samples.shape[1] / 2
     swapped = (high < low)[:, 0]
     means = np.sort(np.concatenate([low, high], 1), 1)

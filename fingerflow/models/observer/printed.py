@@ -1,4 +1,4 @@
-"""The ideal observer as Willemet et al. 2021 describe it, to compare with; use `d_prime` and `auc` otherwise."""
+"""The ideal observer as published by Willemet et al. 2021, for comparison; use `d_prime` and `auc` otherwise."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _STEP = 0.001  # of the criterion
 
 @dataclass(frozen=True)
 class Gaussian:
-    """`amplitude` trials a bin, `mean` and `deviation` of the normalised metric; NaN where no Gaussian fits."""
+    """Gaussian: `amplitude` in trials per bin, `mean` and `deviation` of the normalised metric; NaN where none fits."""
 
     amplitude: float
     mean: float
@@ -25,7 +25,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class PrintedObserver:
-    """What the supplement reports for a metric.
+    """The supplement's numbers for a metric.
 
     Attributes:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
@@ -33,9 +33,9 @@ class PrintedObserver:
         correct, incorrect: Gaussians fitted to those counts.
         d_prime: |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2).
         criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
-        auc: area under it, by trapezia.
-        criterion: the metric, in its own unit, that 75 % of the Gaussian of the correct trials exceed.
-        trials: correct and incorrect ones, and `missing`, how many were NaN.
+        auc: area under it, by the trapezoidal rule.
+        criterion: value, in the metric's own unit, that 75 % (`hits`) of the correct trials' Gaussian exceed.
+        trials: number of correct and incorrect ones; `missing`, number of NaN.
         reason: why a number is NaN; empty otherwise.
     """
 
@@ -57,14 +57,15 @@ class PrintedObserver:
 
 
 def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
-    """Normalise by the 0.9 quantile, count in bins of 0.05, fit Gaussians, take d', sweep the criterion.
+    """Compute d', ROC and criterion as published.
 
-    The paper lets the criterion range from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials
-    below 0: such a curve does not reach its ends. Here the criterion ranges over all trials.
+    The metric is normalised by its 0.9 quantile and counted in bins of 0.05, and Gaussians are fitted to the counts.
+    The paper varies the criterion from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials below
+    0: such a ROC does not reach its ends. Here the criterion ranges over all trials.
 
     Args:
         correct, incorrect: (n,) the metric, any unit; NaN is left out and counted.
-        hits: share of correct trials above `criterion`.
+        hits: share of the correct trials' Gaussian above `criterion`.
 
     Raises:
         ValueError: infinite values, or hits that are not between 0 and 1.
@@ -119,7 +120,7 @@ def _nothing(scale: float, trials: tuple[int, int], missing: int, reason: str) -
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
-    """Least squares on the counts a bin, as the figure S11 A shows it."""
+    """Fit a Gaussian to the counts per bin by least squares, as in figure S11 A."""
     centres = (bins[:-1] + bins[1:]) / 2
     if np.count_nonzero(counts) < 3:
         return Gaussian(math.nan, math.nan, math.nan)

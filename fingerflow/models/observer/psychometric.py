@@ -1,4 +1,4 @@
-"""The psychometric curve: the share of answers against the stimulus, with lapses, guesses and unsteady participants."""
+"""Psychometric curve: share of answers against the stimulus, with lapses, guesses and overdispersion."""
 
 import math
 from collections.abc import Callable
@@ -17,28 +17,28 @@ Values = NDArray[np.float64]
 _FEWEST_STIMULI = 3
 _LARGEST_RATE = 0.5  # of lapses and of guesses that are fitted
 _RATE_PRIOR = (1.0, 10.0)  # Beta (Schuett et al. 2016): lapses and guesses are likely few
-# Overdispersion is integrated over its square root, up to (0.8)^2, all alike: the Beta(1, 10) of the same authors makes
-# intervals of few blocks too short (measured: 0.77 of them hold the truth instead of 0.95, with 0.05 in the data).
+# Overdispersion is integrated with a uniform prior on its square root, up to (0.8)^2: the Beta(1, 10) of the same
+# authors makes intervals of few blocks too short (measured: coverage 0.77 instead of 0.95, with 0.05 in the data).
 _SPREADS: Values = ((np.arange(24) + 0.5) / 30) ** 2
-# In ranges of the stimuli: beyond the first a limit counts as infinite, beyond the second a slope as a step.
+# In ranges of the stimuli: a limit farther than the first counts as infinite; the second bounds the slope.
 _FURTHEST, _STEEPEST = 50.0, 200.0
-_STARTS = 4  # places of the grid that the search starts from
+_STARTS = 4  # grid points from which the search starts
 _LOGIT = 15.0  # rates of 1e-7
 
 
 @dataclass(frozen=True)
 class PsychometricFit:
-    """`fit_psychometric`'s answer; NaN where the data do not determine it.
+    """Result of `fit_psychometric`; NaN where the data do not determine a number.
 
     Attributes:
-        threshold: the stimulus at which the share of answers is `share`, and its `interval` at `level`, which contains
-            it; a limit the data do not set is infinite.
+        threshold: the stimulus at which the share of answers is `share`; its `interval` at `level` contains it, and a
+            limit that the data do not determine is infinite.
         width: standard deviation of the Gaussian core, in the stimulus' unit; negative for a falling curve.
-        guess, lapse: share of answers that the curve starts from, and that it falls short of 1 by.
-        overdispersion: 0 where answers are independent, towards 1 where a block of trials goes one way.
-        deviance: -2 log likelihood of independent answers, over that of the shares as measured.
-        trials: how many answers, and `stimuli`, at how many stimuli.
-        share, level: as asked for.
+        guess, lapse: share of answers at the lower asymptote, and 1 minus the share at the upper one.
+        overdispersion: 0 where answers are independent, towards 1 where all answers of a block agree.
+        deviance: -2 log likelihood ratio of independent answers to the measured shares.
+        trials: number of answers; `stimuli`, number of different stimuli.
+        share, level: as requested.
         reason: why a number is NaN; empty otherwise.
     """
 
@@ -56,7 +56,7 @@ class PsychometricFit:
     reason: str
 
     def __call__(self, stimulus: ArrayLike) -> Values:
-        """The share of answers at a stimulus."""
+        """Return the share of answers at a stimulus."""
         x = np.asarray(stimulus, dtype=np.float64)
         middle = self.threshold - self.width * _core(self.share, self.guess, self.lapse)
         return np.asarray(self.guess + (1 - self.guess - self.lapse) * ndtr((x - middle) / self.width))
@@ -72,15 +72,15 @@ def fit_psychometric(
 ) -> PsychometricFit:
     """Fit P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers.
 
-    Counts follow a beta-binomial distribution: the blocks of trials at one stimulus differ by more than chance, because
-    attention does. The fit is the largest posterior, with weak priors on lapse and guess, the overdispersion
+    Counts follow a beta-binomial distribution: blocks of trials at one stimulus differ by more than chance, because
+    attention varies. The fit maximises the posterior, with weak priors on lapse and guess and the overdispersion
     integrated out. The interval of the threshold holds every threshold whose profile of that posterior is within
-    chi^2 / 2 of the largest, so it contains the estimate.
+    chi^2 / 2 of the maximum, so it contains the estimate.
 
     Args:
         stimulus: (K,) of each block of trials; a stimulus may come in several blocks.
-        answers: (K,) how many answers of the kind that counts, as "the comparison is more slippery".
-        trials: (K,) how many trials, 1 at least.
+        answers: (K,) number of answers of the counted kind, as "the comparison is more slippery".
+        trials: (K,) number of trials, 1 at least.
         share: of answers at the threshold.
         guess: fixed, as 0.5 for the choice between two equal alternatives; fitted where None.
         level: of the interval.
@@ -89,7 +89,7 @@ def fit_psychometric(
         `PsychometricFit`; NaN with the reason where there are fewer than three stimuli or the answers do not change.
 
     Raises:
-        ValueError: counts that are no counts, lengths that differ, or share, guess or level out of range.
+        ValueError: values that are not valid counts, lengths that differ, or share, guess or level out of range.
     """
     x, yes, number = _checked(stimulus, answers, trials)
     lowest = 0.0 if guess is None else guess
@@ -133,9 +133,9 @@ def fit_psychometric(
 
 
 class _Posterior:
-    """Minus its logarithm, over (threshold, slope, lapse and, where fitted, guess), overdispersion integrated out.
+    """Negative log posterior over (threshold, slope, lapse and, where fitted, guess), overdispersion integrated out.
 
-    At its mode the overdispersion of a few blocks is mostly 0, and intervals at that mode are too short. Stimuli are
+    At the joint mode the overdispersion of few blocks is mostly 0 and intervals are too short. Stimuli are
     scaled to about unit range; the slope 1 / width may have either sign; the rates are in logits.
     """
 
@@ -152,14 +152,14 @@ class _Posterior:
         return -float(logsumexp(self._over_spreads(values)) + prior)
 
     def overdispersion(self, values: Values) -> float:
-        """Its mean, given the others."""
+        """Return the posterior mean of the overdispersion, given the other parameters."""
         log = self._over_spreads(values)
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
     def _over_spreads(self, values: Values) -> Values:
-        """Log posterior at each overdispersion, up to the prior of the rates."""
+        """Return the log posterior at each overdispersion, without the prior of the rates."""
         expected = self._expected(values)
-        # Beta-binomial with mean p and a + b = 1 / spread - 1; what does not depend on the parameters is left out.
+        # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
         total = 1 / _SPREADS[:, None] - 1
         first, second = expected * total, (1 - expected) * total
         likelihood = betaln(self.yes + first, self.number - self.yes + second) - betaln(first, second)
@@ -172,20 +172,23 @@ class _Posterior:
         return result
 
     def deviance(self, values: Values) -> float:
-        """Of binomial counts: about the number of blocks less that of parameters where answers are independent."""
+        """Return the deviance of binomial counts: about blocks minus parameters where answers are independent."""
         expected = self._expected(values)
         terms = rel_entr(self.yes, self.number * expected)
         terms = terms + rel_entr(self.number - self.yes, self.number * (1 - expected))
         return 2 * float(terms.sum())
 
     def best(self) -> Values:
-        """The largest posterior. It may have more than one peak: the search starts from the best places of a grid."""
+        """Return the parameters of the largest posterior.
+
+        The posterior may have several peaks, so the search starts from the best points of a grid.
+        """
         middles = np.linspace(self.x.min() - 0.5, self.x.max() + 0.5, 9)
         starts = [start for middle in middles for start in self._starts(middle)]
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Curves of any slope, either with their middle at a place or with the threshold at one."""
+        """Return starting curves of various slopes, with either their middle or their threshold at a given position."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -196,18 +199,21 @@ class _Posterior:
         ]
 
     def rises(self, values: Values) -> bool:
-        """Whether the curve leaves its mean share by more than a hundredth over the stimuli, up or down."""
+        """Return True if the share changes by more than 0.01 over the range of the stimuli, up or down."""
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((np.array([self.x.min(), self.x.max()]) - threshold) * slope + _core(self.share, guess, lapse))
         return bool(abs((1 - guess - lapse) * np.diff(core)[0]) > 0.01)
 
     def parameters(self, values: Values) -> tuple[float, float, float, float]:
-        """Threshold, width, guess and lapse in the units of the data."""
+        """Return threshold, width, guess and lapse in the units of the data."""
         threshold, slope, guess, lapse = self._natural(values)
         return self.origin + self.unit * threshold, self.unit / slope, guess, lapse
 
     def profile(self, best: Values) -> Callable[[float], float]:
-        """Minus the log posterior at a threshold with the other parameters at their best, started from neighbours."""
+        """Return the profile: minus the log posterior at a threshold, minimised over the other parameters.
+
+        Each search starts from the solution at the nearest known threshold, and from the best of a grid.
+        """
         known = {float(best[0]): (self(best), best[1:])}
 
         def at(threshold: float) -> float:
@@ -222,7 +228,7 @@ class _Posterior:
         return at
 
     def _minimised(self, start: Values, fixed: int) -> Values:
-        """The values with the largest posterior near a start; the first ones may be fixed."""
+        """Return the parameters of the largest posterior near a start, keeping the first ``fixed`` ones."""
         limits = (_FURTHEST, _STEEPEST, *[_LOGIT] * (start.size - 2))
 
         def rest(values: Values) -> float:
@@ -238,7 +244,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Where the profile crosses what is allowed, outwards from the best threshold."""
+    """Return where the profile crosses ``allowed``, outwards from the best threshold; infinite beyond `_FURTHEST`."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

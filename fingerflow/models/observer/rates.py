@@ -1,4 +1,4 @@
-"""Sensitivity and criterion from counts of answers, one participant each."""
+"""Sensitivity and criterion of detection from counts of answers per participant."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Detection:
-    """Mean over participants of `sensitivity` d' and `criterion` c, and what each has, (P,).
+    """Mean over participants of `sensitivity` d' and `criterion` c, and the values of each participant, (P,).
 
     `hit_rate` and `false_alarm_rate` are corrected by the log-linear rule; NaN for a participant without trials of
     both kinds.
@@ -41,18 +41,18 @@ def detection(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Detection:
-    """d' = z(H) - z(F) and c = -(z(H) + z(F)) / 2 a participant, their means with intervals by participant.
+    """Compute d' = z(H) - z(F) and c = -(z(H) + z(F)) / 2 per participant, and their means with intervals.
 
     Rates of 0 and 1 have no finite z. All rates, not those alone, are therefore corrected by the log-linear rule:
-    half a hit and half a false alarm are added, and one trial of either kind (Hautus 1995). It pulls d' towards 0, the
-    less the more trials there are.
+    half a hit and half a false alarm are added, and one trial of either kind (Hautus 1995). This biases d' towards 0,
+    less with more trials.
 
     Args:
-        hits, misses, false_alarms, correct_rejections: (P,) whole numbers of trials, one participant each.
-        level, resamples, seed: of the intervals; participants are drawn.
+        hits, misses, false_alarms, correct_rejections: (P,) numbers of trials, integers, one participant each.
+        level, resamples, seed: of the intervals; participants are resampled.
 
     Raises:
-        ValueError: counts that are negative, not whole or not of one length.
+        ValueError: counts that are negative, not whole or of different lengths.
     """
     counts = [
         np.asarray(count, dtype=np.float64).reshape(-1) for count in (hits, misses, false_alarms, correct_rejections)

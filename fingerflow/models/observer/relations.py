@@ -1,4 +1,4 @@
-"""Correlations, one-way analysis of variance and the linear mixed model, on a table's columns."""
+"""Correlation, one-way analysis of variance and linear mixed model on columns of a table."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correlation:
-    """Coefficient with its interval and two-sided p; `trials` it rests on, `missing` that lack a value."""
+    """Correlation coefficient with interval and two-sided p; `trials` pairs were used, `missing` pairs lack a value."""
 
     value: float
     interval: Interval
@@ -29,7 +29,7 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Anova:
-    """F with its degrees of freedom, p, and eta^2, the share of the variance between groups; `trials` a group."""
+    """F with its degrees of freedom, p, and eta^2, the share of the variance between groups; `trials` per group."""
 
     f: float
     degrees: tuple[int, int]
@@ -42,7 +42,7 @@ class Anova:
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Fixed effects by name with their intervals and p (Wald), and the deviations between and within participants."""
+    """Fixed effects by name with intervals and p (Wald), and standard deviations between and within participants."""
 
     effects: dict[str, float]
     intervals: dict[str, Interval]
@@ -57,7 +57,7 @@ class MixedModel:
 
 
 def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Linear correlation of pairs; interval by Fisher's transformation, pairs independent.
+    """Compute the linear correlation of pairs, with an interval by Fisher's transformation for independent pairs.
 
     NaN with the reason for fewer than 4 pairs or a constant. Raises ValueError where the lengths differ.
     """
@@ -65,14 +65,16 @@ def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correla
 
 
 def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Rank correlation of pairs, ties by mean ranks; interval by Fisher's transformation with the variance of ranks,
-    (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as `pearson`.
+    """Compute the rank correlation of pairs, ties at mean ranks.
+
+    The interval is Fisher's, with the variance of ranks (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as
+    `pearson`.
     """
     return _correlation(first, second, level, stats.spearmanr, math.nan)
 
 
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
-    """Do the groups of trials differ in their mean? Values that are NaN are left out and counted.
+    """Test whether groups of trials differ in their mean. NaN values are left out and counted.
 
     NaN with the reason for fewer than two groups of two trials, or values that do not vary within any.
 
@@ -99,17 +101,17 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
 
 
 def mixed_model(table: Mapping[str, ArrayLike], formula: str, level: float = 0.95) -> MixedModel:
-    """Linear mixed model with an intercept a participant, as for the force rate in Willemet et al. 2021.
+    """Fit a linear mixed model with one intercept per participant, as for the force rate in Willemet et al. 2021.
+
+    The fit is by restricted maximum likelihood (statsmodels, installed with the extra `study`).
 
     Args:
         table: columns, `participant` among them; rows with a NaN in a column of the formula are left out and counted.
         formula: of the fixed effects, as "force_rate ~ amplitude".
         level: of the intervals.
 
-    By restricted maximum likelihood (statsmodels, installed with the extra `study`).
-
     Raises:
-        FingerflowError: statsmodels is not installed, there is no column `participant`, or only one of them.
+        FingerflowError: statsmodels is not installed, there is no column `participant`, or fewer than two participants.
     """
     try:
         import pandas as pd

@@ -1,4 +1,4 @@
-"""Every metric of a table of trials, beside the others: which one predicts what participants answer?"""
+"""Comparison of every metric in a table of trials: which one predicts the participants' answers?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from fingerflow.models.observer.trials_table import Trials
 
 
 class ObserverSettings(TypedDict):
-    """How an interval was found: its level, and the resamples that a seed has drawn."""
+    """Settings of an interval: its level, the number of resamples and their seed."""
 
     level: float
     resamples: int
@@ -21,7 +21,7 @@ class ObserverSettings(TypedDict):
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """One metric: its estimates with intervals by participant, and `printed`, the numbers as the paper takes them."""
+    """One metric: its estimates with intervals by participant, and `printed`, the numbers computed as in the paper."""
 
     d_prime: Estimate
     auc: Estimate
@@ -39,13 +39,13 @@ def observe(
     resamples: int = 2000,
     seed: int = 0,
 ) -> dict[str, MetricSummary]:
-    """The ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
+    """Compute the ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
 
     Args:
         trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.
         metrics: names; all where None.
         hits: share of correct trials above the criterion.
-        level, resamples, seed: of the intervals, drawn by participant, and of the permutations.
+        level, resamples, seed: of the intervals, resampled by participant, and of the permutations.
 
     Raises:
         FingerflowError: a metric that the table does not have.

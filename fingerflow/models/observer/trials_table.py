@@ -1,4 +1,4 @@
-"""The table of trials: one row a trial, with who, what, the answer and the metrics."""
+"""Table of trials: one row per trial with participant, condition, answer and metrics."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from fingerflow.errors import FingerflowError
 Values = NDArray[np.float64]
 
 COLUMNS = ("participant", "trial", "condition", "answer")
-# These show the finger's sideways motion itself: they are kept where it is too large for the others.
+# These measure the finger's sideways motion itself, so `leave_out_moved` keeps them.
 OF_MOTION = ("global_displacement", "force_angle")
 
 
@@ -20,7 +20,7 @@ OF_MOTION = ("global_displacement", "force_angle")
 class Trials:
     """T trials: `participant`, `trial`, `condition`, whether the `answer` was correct, `metrics` by name, (T,) each.
 
-    `left_out` counts the trials whose metrics a rule has set to NaN, and `rule` says which.
+    `left_out` counts the trials whose metrics a rule has set to NaN; `rule` describes it.
     """
 
     participant: NDArray[Any]
@@ -32,26 +32,26 @@ class Trials:
     rule: str = ""
 
     def split(self, metric: str) -> tuple[Values, Values]:
-        """The metric in correct and in incorrect trials, with its NaN. Raises FingerflowError for an unknown name."""
+        """Return the metric in correct and in incorrect trials, NaN included; raises FingerflowError if unknown."""
         if metric not in self.metrics:
             raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(self.metrics)}")
         return self.metrics[metric][self.answer], self.metrics[metric][~self.answer]
 
     def participants(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Who made the correct and the incorrect trials."""
+        """Return the participants of the correct and of the incorrect trials."""
         return self.participant[self.answer], self.participant[~self.answer]
 
 
 def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
-    """Check a tidy table: a pandas DataFrame, or a mapping from column names to equally long columns.
+    """Check a tidy table: a pandas DataFrame, or a mapping from column names to columns of equal length.
 
     Args:
         table: columns `participant`, `trial`, `condition`, `answer` (True or 1 where correct, False or 0 where not) and
             any number of metrics, numbers with NaN where one was not measured.
 
     Raises:
-        FingerflowError: a column is missing, of another length, twice the same trial, an answer that is neither, a
-            metric that is no number or infinite; names the column, the value and the way out.
+        FingerflowError: a column is missing or of another length, a trial occurs twice, an answer is neither, or a
+            metric is not numeric or infinite; names the column, the value and the remedy.
     """
     names = [str(name) for name in table.keys()]  # noqa: SIM118 - a DataFrame iterates over its columns by keys alone
     missing = [name for name in COLUMNS if name not in names]
@@ -82,9 +82,10 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
 
 
 def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
-    """Metrics set to NaN where the finger slid as a whole: `global_displacement` (mm) above a limit, or not known.
+    """Set metrics to NaN where the finger slid as a whole: `global_displacement` (mm) above a limit, or not known.
 
-    So Willemet et al. 2021 ask what other cues tell without that one; the displacement itself and the force angle stay.
+    Willemet et al. 2021 ask in this way what other cues tell without that one. The displacement and the force angle
+    stay.
 
     Raises:
         FingerflowError: the table has no `global_displacement`.

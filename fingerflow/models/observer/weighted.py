@@ -1,4 +1,4 @@
-"""Statistics of trials that were drawn a number of times each: R resamples at once."""
+"""Statistics of resampled trials, each weighted by its number of draws; R resamples at once."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ Values = NDArray[np.float64]
 
 
 def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
-    """From weights (R, n_1) and (R, n_2) to the area under the ROC (R,); NaN where a kind was not drawn."""
+    """Return a function from weights (R, n_1) and (R, n_2) to the area under the ROC (R,); NaN if a kind has none."""
     values = np.concatenate([correct, incorrect])
     order = np.argsort(values, kind="stable")
     starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)
@@ -29,14 +29,14 @@ def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Value
 
 
 def mean(values: Values, weights: Values) -> Values:
-    """Means (R,) of values (N,) by weights (R, N)."""
+    """Return means (R,) of values (N,) by weights (R, N)."""
     result: Values = weights @ values / weights.sum(1)
     return result
 
 
 def deviation(values: Values, weights: Values) -> Values:
-    """Standard deviation with n - 1; NaN where fewer than two trials were drawn or none differs."""
-    # About the whole sample's mean: sums of squares of far values would lose their digits.
+    """Return the standard deviation with n - 1; NaN where fewer than two trials were drawn or none differs."""
+    # Centred on the whole sample's mean: sums of squares of values far from 0 would lose precision.
     centred = values - values.mean()
     count = weights.sum(1)
     middle = weights @ centred / count

@@ -1,19 +1,19 @@
-"""Where the stuck part of a contact ends, for who sees the skin blurred: through windows, or by dense flow.
+"""Border of the stick region of a contact, from displacement blurred by tracking windows or by dense flow.
 
-Skin is continuous, and so is its strain: beside the stuck part its displacement begins as k x^p, x the distance from
-the border. On an elastic half-space, whose tractions begin with a root, p is 3/2 (Cattaneo 1938, Mindlin 1949); skin
-on an elastic bed with bounded tractions has p = 2. p is taken as 7/4: data of one trial do not tell which it is, and
-either end changes the level below by a quarter to a third, d^2 by some 0.03.
+Skin and its strain are continuous, so beside the stick region the displacement begins as k x^p, with x the distance
+from the border. On an elastic half-space, whose tractions begin with a square root, p is 3/2 (Cattaneo 1938, Mindlin
+1949). Skin on an elastic bed with bounded tractions has p = 2. One trial's data do not tell which p holds, so p is
+taken as 7/4. Either extreme changes the level below by a quarter to a third, and d^2 by about 0.03.
 
-A tracked point shows the mean over its window, and the windows that reach across the border have moved before their
-centre has. At the border itself they show the level
+A tracked point shows the mean over its window, so windows that reach across the border move before their
+centre does. At the border they show the level
 
     k E[max(xi, 0)^p - max(xi - w, 0)^p],
 
-xi the places in the window along the normal of the border, w the width of the annulus that slips: beyond the contact
-nothing holds the skin, which moves as its rim does. Displacement below that level is what stuck skin shows. Below a
-fixed length of it (40 um in Terekhov & Hayward 2011) is also skin that has slipped by less. Dense flow shows less at
-the border, as it looks less far and is stiff; what it shows of x^p is measured
+xi the positions in the window along the border's normal, w the width of the slipping annulus. Beyond the contact
+nothing holds the skin, which moves as its rim does. Displacement below that level counts as stick. A fixed threshold
+(40 um in Terekhov & Hayward 2011) also counts skin that has slipped by less. Dense flow shows less at the border,
+because its support is smaller and it is regularised; its response to x^p is measured
 (`pipeline.stages.slip.flow_resolution`).
 """
 
@@ -24,24 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
-#: What is seen, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside.
+#: Measured (blurred) value, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside.
 Seen = Callable[[Values], Values]
 
 POWER = 1.75  # p
 
-_SAMPLES = 24  # of a window along either side
-_ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # of the border to the window, 0 to 45 degrees
+_SAMPLES = 24  # along each side of a window
+_ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # between border and window, 0 to 45 degrees
 _FEWEST = 8  # distances with a displacement
 
 
 class BorderFit(NamedTuple):
-    """`fit_border`'s answer.
+    """Result of `fit_border`.
 
     Attributes:
         growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
-        offset: mm, where the border lies on the scale of the distances.
-        base: mm, what skin shows that has not moved.
-        error: mm, root mean square of what the fit leaves.
+        offset: mm, position of the border on the scale of the distances.
+        base: mm, measured displacement of skin that has not moved.
+        error: mm, root mean square residual of the fit.
     """
 
     growth: float
@@ -51,37 +51,40 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Places (K,) mm of a square window along the normal of a border, for borders in all directions, in order."""
+    """Return the positions (K,) mm in a square window along a border's normal, over several border directions.
+
+    The positions are sorted.
+    """
     side = half_window * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     across, along = np.cos(_ANGLES)[:, None, None] * side, np.sin(_ANGLES)[:, None, None] * side[:, None]
     return np.asarray(np.sort((across + along).ravel()))
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """What windows show, (K,), of a displacement x^p beyond a border, at distances (K,) mm from it; negative inside."""
+    """Return the window means (K,) of a displacement x^p beyond a border, at distances (K,) mm; negative inside."""
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 
 
 def border_level(width: Values, growth: float, seen: Seen) -> Values:
-    """mm (K,), what is seen at the border of the stuck part where the slipping annulus is (K,) mm wide."""
+    """Return the measured displacement, mm (K,), at the stick region's border for a slipping annulus (K,) mm wide."""
     return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 
 def fit_border(distance: Values, displacement: Values, weight: Values, seen: Seen, step: float) -> BorderFit | None:
-    """Where a displacement that is seen blurred begins.
+    """Fit the position at which a blurred displacement begins.
 
-    Weighted least squares in k and the base, which enter linearly, for each of the places where the border may lie.
+    Weighted least squares in k and the base, which enter linearly, at each candidate position of the border.
 
     Args:
         distance: (K,) mm from some contour of the displacement, positive on the side that sticks.
         displacement: (K,) mm along the slip, a mean over points at this distance.
-        weight: (K,) one over its variance.
-        seen: how it is blurred.
-        step: mm between the places that are tried.
+        weight: (K,) inverse variance of the displacement.
+        seen: the blur, as `seen_displacement`.
+        step: mm between candidate positions.
 
     Returns:
-        None where the displacement does not grow, or at fewer than eight distances.
+        The candidate with the least error; None if the displacement does not grow, or at fewer than eight distances.
     """
     if len(distance) < _FEWEST:
         return None

@@ -1,4 +1,4 @@
-"""Which of the four curves d^2(T/N) does a trial follow?"""
+"""Comparison of a trial with the four curves d^2(T/N)."""
 
 from dataclasses import dataclass
 
@@ -24,11 +24,11 @@ _CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
 
 @dataclass(frozen=True)
 class CurveScore:
-    """One curve beside the others.
+    """Score of one curve among the others.
 
     Attributes:
         coefficients: of friction, by name.
-        aicc: Akaike's criterion, corrected for few frames; only differences mean something.
+        aicc: Akaike's criterion, corrected for few frames; only differences are meaningful.
         weight: share of the evidence among the curves, exp(-difference to the best / 2) normalised.
     """
 
@@ -39,7 +39,7 @@ class CurveScore:
 
 @dataclass(frozen=True)
 class CurveComparison:
-    """`compare_curves`'s answer: `scores` by curve, the `best` of them, and how many `frames` say so.
+    """Result of `compare_curves`: `scores` by curve, the `best` of them, and the number of `frames` used.
 
     Without enough frames `scores` is empty, `best` is "" and `reason` says why.
     """
@@ -53,10 +53,10 @@ class CurveComparison:
 def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveComparison:
     """Compare partial slip (mu_s, mu_k), equal friction, Tada and Coulomb (mu each) by AICc on the same frames.
 
-    Each curve is fitted to the frames of slow loading as in `fit_friction`, errors under Student's t with 4 degrees of
-    freedom whose scale is one more parameter. Coulomb's curve has a corner: there a frame's distance is the smaller
-    of those to its two legs, d^2 = 1 and T/N = mu. Frames count as independent: where their errors go together the
-    weights are too sure.
+    Each curve is fitted to the frames of slow loading as in `fit_friction`. Errors follow Student's t with 4 degrees of
+    freedom, whose scale is one more parameter. Coulomb's curve has a corner: there a frame's distance is the smaller
+    of those to its two legs, d^2 = 1 and T/N = mu. Frames count as independent; correlated errors make the
+    weights overconfident.
 
     Args:
         stuck_area: (F,) d^2; frames with a NaN are left out.
@@ -109,7 +109,7 @@ def _aicc(squared: Values, coefficients: int) -> float:
 
 
 def _deviance(squared: Values) -> float:
-    """-2 log likelihood under Student's t with the best scale, up to what all curves share."""
+    """Return -2 log likelihood under Student's t with the best scale, up to a constant common to all curves."""
     scale = student_scale(squared)
     terms = np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))
     return float(terms.sum())

@@ -1,7 +1,7 @@
-"""T/N as a function of d^2, linear in the coefficients of friction: the form in which the curves are fitted.
+"""T/N as a function of d^2, linear in the friction coefficients: the form in which the curves are fitted.
 
-d^2(T/N) has an infinite slope where the area vanishes; its inverse is smooth, single-valued and a sum of known
-functions of d^2 with the coefficients of friction as factors.
+d^2(T/N) has an infinite slope where the area vanishes. Its inverse is smooth and single-valued: a sum of known
+functions of d^2 weighted by the friction coefficients.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ Functions = Callable[[Values], Values]
 
 @dataclass(frozen=True)
 class CurveFamily:
-    """Functions of d^2 (F,), each (F, P) for P coefficients: T/N a coefficient, its first and its second derivative."""
+    """Functions of d^2 (F,), each (F, P) for P coefficients: T/N per coefficient, its first and second derivative."""
 
     name: str
     coefficients: tuple[str, ...]
@@ -44,6 +44,6 @@ TADA = CurveFamily(
     ("mu",),
     lambda s: 1 - np.maximum(s, 0)[..., None] ** 1.5,
     lambda s: -1.5 * np.sqrt(np.maximum(s, 0))[..., None],
-    # Infinite where the area vanishes; bounded by its value at an area that is lost in noise anyway.
+    # Infinite where the area vanishes; bounded by its value at 0.05, an area lost in noise anyway.
     lambda s: -0.75 / np.sqrt(np.maximum(s, 0.05))[..., None],
 )

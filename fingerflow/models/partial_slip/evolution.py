@@ -1,29 +1,29 @@
-"""How the stuck part of a fingertip contact shrinks under a tangential load.
+"""Shrinking of a fingertip's stick region under a tangential load (Terekhov & Hayward 2011, equations 3 to 5).
 
-Terekhov & Hayward 2011, equations 3 to 5. N is the normal and T the tangential force, mu_s and mu_k the coefficients of
-static and kinetic friction, d^2 the stuck area over the contact area.
+N is the normal and T the tangential force, mu_s and mu_k the coefficients of static and kinetic friction, d^2 the
+stuck area over the contact area.
 """
 
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-# Rounding of a load that was itself computed: the discriminant below comes out this many units off, relative to mu_s^2.
+# Rounding error of the discriminant below for a load that was itself computed, relative to mu_s^2.
 _ROUNDING = 16 * torch.finfo(torch.float64).eps
 
 
 def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """T/N that a contact carries whose part d^2 is stuck (equations 3 and 4 of Terekhov & Hayward 2011).
+    """Return the T/N of a contact with stuck share d^2 (equations 3 and 4 of Terekhov & Hayward 2011).
 
         T/N = 2 mu_s d^2 (1 - d^2) + mu_k (1 - d^2)^2
 
     Args:
         stuck_area: d^2, from 0 to 1; other values give NaN.
-        mu_s, mu_k: positive and not negative; all three broadcast.
+        mu_s, mu_k: mu_s positive, mu_k 0 or more; all three broadcast.
 
     Returns:
         float64 tensor of the broadcast shape, differentiable. Below `critical_stuck_area` it is the unstable branch,
-        which no slow loading visits.
+        which slow loading does not reach.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.
@@ -35,26 +35,26 @@ def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """d^2, the stuck area over the contact area, at a load T/N: equation 5 solved on the branch that loading follows.
+    """Return d^2, stuck area over contact area, at a load T/N: equation 5 solved on the branch that loading follows.
 
     Args:
-        load_ratio: T/N; NaN comes out where it is negative or above `critical_load_ratio`.
-        mu_s, mu_k: positive and not negative; all three broadcast.
+        load_ratio: T/N; the result is NaN where it is negative or above `critical_load_ratio`.
+        mu_s, mu_k: mu_s positive, mu_k 0 or more; all three broadcast.
 
     Returns:
         float64 tensor of the broadcast shape: 1 without load, falling to `critical_stuck_area` at the critical load
         where mu_k < mu_s, and to 0 where mu_k >= mu_s. Differentiable; the gradient of a NaN is 0. At the critical
-        load the slope is infinite: a load's own rounding of 1e-16 stands for 1e-8 of the area, so a load that differs
-        from the critical one by no more than rounding is the critical one, and the gradient there is that of
-        1 - (T/N) / mu_s, finite so that a fit which comes across it goes on.
+        load the slope is infinite: rounding of 1e-16 in the load changes the area by 1e-8. A load within rounding
+        of the critical one is therefore treated as critical. The gradient there is that of 1 - (T/N) / mu_s, finite so
+        that a fit which crosses it continues.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.
     """
     load, static, kinetic = _arguments(load_ratio, mu_s, mu_k)
-    # Equation 5 in the slipping share 1 - d^2: (2 mu_s - mu_k) x^2 - 2 mu_s x + T/N = 0. Its smaller root, written
-    # with the square root below, subtracts nothing, and stays right where 2 mu_s = mu_k makes the equation linear
-    # and where mu_k > 2 mu_s turns the parabola over.
+    # Equation 5 in the slipping share x = 1 - d^2: (2 mu_s - mu_k) x^2 - 2 mu_s x + T/N = 0. Its smaller root, with the
+    # square root in the denominator, has no cancellation. It also holds where 2 mu_s = mu_k (a linear equation) and
+    # where mu_k > 2 mu_s (a parabola of the opposite sign).
     discriminant = static.square() - (2 * static - kinetic) * load
     at_fold = (kinetic < static) & (discriminant.abs() <= _ROUNDING * static.square())
     fades = kinetic >= static
@@ -66,10 +66,10 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """d^2 at which the stuck area vanishes at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
+    """Return the d^2 at which the stuck area vanishes at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
 
-    Such a minimal area needs mu_s > mu_k (the paper's abstract has the inequality the other way round; its section 1
-    and equation 5 do not). It is 0 for mu_s = mu_k and NaN, there is none, for mu_s < mu_k.
+    Such a minimal area needs mu_s > mu_k; the paper's section 1 and equation 5 agree, but its abstract has the
+    inequality reversed. It is 0 for mu_s = mu_k, and NaN for mu_s < mu_k, where none exists.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.
@@ -81,7 +81,7 @@ def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """The largest T/N that a partly stuck contact carries: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else mu_k.
+    """Return the largest T/N of a partly stuck contact: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else mu_k.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.
@@ -92,10 +92,10 @@ def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
-    """mu_k / mu_s from the d^2 at which the stuck area vanishes: (1 - 2 d^2) / (1 - d^2).
+    """Return mu_k / mu_s from the d^2 at which the stuck area vanishes: (1 - 2 d^2) / (1 - d^2).
 
-    Solved from d^2 = (mu_s - mu_k) / (2 mu_s - mu_k). The paper prints (1 - d^2) / (2 - d^2), which is no solution of
-    it: that would make mu_k half of mu_s where the area fades to nothing, which is where they are equal.
+    It solves d^2 = (mu_s - mu_k) / (2 mu_s - mu_k). The paper prints (1 - d^2) / (2 - d^2), which is no solution: it
+    gives mu_k = mu_s / 2 where the area fades to nothing, although the two are equal there.
 
     Args:
         critical_stuck_area: d^2 from 0 to 1/2, where mu_k = 0; other values give NaN.

@@ -15,24 +15,24 @@ STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t, the distribution of 
 
 _FEWEST = 10  # frames
 _ROUNDS = 15  # of reweighting
-_STREAM = 0xF17  # beside the seed: data simulated with the same seed must not share its random numbers
+_STREAM = 0xF17  # added to the seed: data simulated with the same seed must not share random numbers
 _EXACT = 1e-9  # noise below which numbers count as exact
-_WIDEST = 1.0  # interval of mu_k / mu_s that still says something
+_WIDEST = 1.0  # widest informative interval of mu_k / mu_s
 
 
 @dataclass(frozen=True)
 class FrictionFit:
-    """`fit_friction`'s answer; what the data do not determine is NaN, and `reason` says why.
+    """Result of `fit_friction`; what the data do not determine is NaN, and `reason` says why.
 
     Attributes:
         mu_s, mu_k: coefficients of static and kinetic friction; mu_k is not below 0.
         ratio: mu_k / mu_s.
         critical_area: d^2_critic = (mu_s - mu_k) / (2 mu_s - mu_k); 0 where mu_k >= mu_s.
         mu_s_interval, mu_k_interval, ratio_interval, critical_area_interval: percentile intervals of the bootstrap.
-        identified: whether both coefficients follow from the data.
+        identified: True if the data determine both coefficients.
         reason: why not; empty if they do.
         area_noise, load_noise: standard deviations of d^2 and T/N from frame to frame.
-        frames: how many the fit has used.
+        frames: number of frames that the fit used.
         level, resamples, seed: of the intervals.
     """
 
@@ -63,13 +63,13 @@ def fit_friction(
 ) -> FrictionFit:
     """Fit mu_s and mu_k of equation 5 (Terekhov & Hayward 2011) to the frames of slow loading.
 
-    Both d^2 and T/N are measured with noise. It is taken from their second differences, so the frames must be in
-    order of time; for the estimate the ratio of the two matters, not their level. A frame's distance from the curve
-    is that of T/N, over the standard deviation that the two kinds of noise give it together. Errors follow Student's t
-    with 4 degrees of freedom: frames far off have little weight. The intervals come from a bootstrap of blocks of
-    frames, because errors of neighbouring frames go together. Measured on simulated trials: intervals of 95 % hold the
-    truth in 93 to 96 % with independent errors and in about 90 % where T/N swings by 1 %, which the area follows only
-    upwards; mu_k / mu_s comes out 1 % low at a noise of d^2 up to 0.02, and 2 % low at 0.03.
+    Both d^2 and T/N are measured with noise. The noise is estimated from their second differences, so the frames must
+    be in order of time; the estimate depends on the ratio of the two. A frame's distance from the curve is its T/N
+    residual, over the standard deviation that the two noises cause together. Errors follow Student's t with 4 degrees
+    of freedom, so outlying frames have little weight. The intervals come from a bootstrap of blocks of frames, because
+    errors of neighbouring frames are correlated. Measured on simulated trials: intervals of 95 % contain the truth in
+    93 to 96 % with independent errors and in about 90 % where T/N swings by 1 %, which the area follows only upwards.
+    mu_k / mu_s is 1 % low at a noise of d^2 up to 0.02, and 2 % low at 0.03.
 
     Args:
         stuck_area: (F,) d^2, the stuck area over the contact area; frames with a NaN are left out.
@@ -80,8 +80,8 @@ def fit_friction(
         seed: of the bootstrap.
 
     Returns:
-        `FrictionFit`. Frames in which the contact is wholly stuck say nothing: a fit without enough others, or whose
-        area has not shrunk far enough to tell mu_k, is not identified.
+        `FrictionFit`. Frames in which the whole contact sticks carry no information. A fit without enough others, or
+        whose area has not shrunk far enough to determine mu_k, is not identified.
 
     Raises:
         ValueError: the arrays differ in length, or level or resamples are out of range.
@@ -140,10 +140,10 @@ def fit_friction(
 def fit_family(
     family: CurveFamily, area: Values, load: Values, noise: tuple[float, float], weights: Values
 ) -> tuple[Values, Values]:
-    """Coefficients of one family by reweighted least squares, for R sets of weights (R, F) a frame at once.
+    """Fit the coefficients of one family by reweighted least squares, for R sets of frame weights (R, F) at once.
 
     Returns:
-        The coefficients (R, P) and the squared distances (R, F), in the noise's own unit.
+        The coefficients (R, P) and the squared distances (R, F), in units of the noise.
     """
     # Noise of d^2 moves the mean of a curved function; without this the fit is biased towards less friction.
     basis = family.load(area) - family.curvature(area) * noise[0] ** 2 / 2
@@ -155,13 +155,13 @@ def fit_family(
     for _ in range(_ROUNDS):
         total = weights * robust / variance
         normal = (total @ products).reshape(-1, count, count)
-        # A share of 1e-12 keeps frames that determine one coefficient only from ending in an error.
+        # The ridge of 1e-12 keeps the matrix regular where the frames determine only one coefficient.
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(count)
         coefficients = np.linalg.solve(normal, (total @ (basis * load[:, None]))[..., None])[..., 0]
         residual = load - coefficients @ basis.T
         slope = (family.slope(place) @ coefficients[..., None])[..., 0]
         variance = np.maximum(noise[1], _EXACT) ** 2 + (slope * np.maximum(noise[0], _EXACT)) ** 2
-        # The true area of a frame is between the measured one and the one that its load gives.
+        # The most likely area of a frame lies between the measured one and the one that its load implies.
         place = np.clip(area + slope * noise[0] ** 2 * residual / variance, 0, 1)
         squared = residual**2 / variance
         robust = student_weights(squared, weights * robust)
@@ -169,14 +169,14 @@ def fit_family(
 
 
 def student_weights(squared: Values, weights: Values) -> Values:
-    """Weights (R, F) of frames with these squared distances, under Student's t whose scale the frames give."""
+    """Return the weights (R, F) of frames under Student's t, its scale estimated from their squared distances."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
     result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
     return result
 
 
 def student_scale(squared: Values) -> float:
-    """Squared scale of Student's t that makes these squared distances (F,) most likely."""
+    """Return the squared scale of Student's t of maximum likelihood for squared distances (F,)."""
     scale = float(np.median(squared)) or float(squared.mean())
     for _ in range(4 * _ROUNDS):
         weights = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / max(scale, 1e-300))
@@ -185,7 +185,7 @@ def student_scale(squared: Values) -> float:
 
 
 def finite_frames(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values]:
-    """Both as float64, without the frames that lack one. Raises ValueError where they differ in length."""
+    """Return both as float64, without the frames that lack one; raises ValueError where they differ in length."""
     area, load = (np.asarray(values, dtype=np.float64) for values in (stuck_area, load_ratio))
     if area.shape != load.shape or area.ndim != 1:
         raise ValueError(f"d² and T/N have shapes {area.shape} and {load.shape}: give one value a frame of each")
@@ -194,15 +194,15 @@ def finite_frames(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values,
 
 
 def frame_noise(values: Values) -> float:
-    """Standard deviation of white noise, from second differences, which a slow change does not enter."""
+    """Return the standard deviation of white noise, from second differences, which a slow change does not affect."""
     second = np.diff(values, 2)
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
 
 
 def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
-    """Frames whose area is not lost in the noise below 1, where a measured area is cut off.
+    """Return True for frames whose area is clearly below 1; near 1 noise is cut off, as a measured area is 1 at most.
 
-    Chosen by the load, because a choice by the noisy area itself would keep the frames that err to one side.
+    Selected by the load: a selection by the noisy area itself would keep frames with errors to one side.
     """
     partly = (area > 0.5) & (area < 1 - 5 * noise[0])
     if not partly.any():
@@ -212,7 +212,7 @@ def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray
 
 
 def _block_weights(frames: int, resamples: int, seed: int) -> Values:
-    """How often each of R bootstrap samples of circular blocks has each frame, (R, F)."""
+    """Return how often each of R bootstrap samples of circular blocks contains each frame, (R, F)."""
     length = math.ceil(frames ** (1 / 3))
     starts = np.random.default_rng([seed, _STREAM]).integers(0, frames, (resamples, math.ceil(frames / length)))
     chosen = ((starts[..., None] + np.arange(length)) % frames).reshape(resamples, -1)[:, :frames]
@@ -222,9 +222,9 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 
 def _derived(coefficients: Values) -> Values:
-    """mu_s, mu_k, their ratio and the critical area, (R, 4)."""
+    """Return mu_s, mu_k, their ratio and the critical area, (R, 4)."""
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
-    # NaN would drop the resamples without a critical area from its interval: they say 0.
+    # Resamples without a critical area count as 0: NaN would drop them from its interval.
     critical = np.where(ratio < 1, (1 - ratio) / np.where(ratio < 1, 2 - ratio, 1), 0)
     return np.stack([mu_s, mu_k, ratio, critical], 1)

@@ -1,4 +1,4 @@
-"""Pressure and traction over the elliptical contact, partly stuck."""
+"""Pressure and traction over an elliptical, partly stuck contact."""
 
 import math
 
@@ -10,7 +10,7 @@ from torch import Tensor
 def pressure(
     x: Tensor | ArrayLike, y: Tensor | ArrayLike, normal_force: float, semi_axes: tuple[float, float]
 ) -> Tensor:
-    """p(x, y), whose integral over the contact is the normal force (Terekhov & Hayward 2011, equation 1).
+    """Return p(x, y), whose integral over the contact is the normal force (Terekhov & Hayward 2011, equation 1).
 
     Args:
         x, y: positions from the centre along the semi-axes, in one unit of length L; they broadcast.
@@ -36,9 +36,9 @@ def traction(
     normal_force: float,
     semi_axes: tuple[float, float],
 ) -> Tensor:
-    """q(x, y) where the inner ellipse x^2/a^2 + y^2/b^2 <= d^2 is stuck (equations 2 and 3 of the same).
+    """Return q(x, y) where the inner ellipse x^2/a^2 + y^2/b^2 <= d^2 sticks (equations 2 and 3 of the same paper).
 
-    Uniform in the stuck part, where it is mu_s times the pressure at that part's border; mu_k p around it. Its
+    Uniform in the stick region, at mu_s times the pressure on its border; mu_k p around it. Its
     integral over the contact is `load_ratio(stuck_area, mu_s, mu_k)` times the normal force.
 
     Args:

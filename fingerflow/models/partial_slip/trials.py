@@ -1,4 +1,4 @@
-"""Trials of tangential loading with known friction: what a camera and a force sensor would have measured."""
+"""Simulated trials of tangential loading with known friction, as measured by a camera and a force sensor."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 a frame, and the truth behind them.
+    """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 per frame, and the truth behind them.
 
     `true_stuck_area` is without noise; `critical_stuck_area` is 0 where mu_k >= mu_s.
     """
@@ -39,7 +39,7 @@ def simulate_trial(
     oscillation: float = 0.01,
     reached: float = 1.0,
 ) -> SimulatedTrial:
-    """A slow ramp of T/N, the stuck area after equation 5, its collapse at constant T/N, and a second of full slip.
+    """Simulate a slow ramp of T/N, the stuck area by equation 5, its collapse at constant T/N, and 1 s of full slip.
 
     Args:
         mu_s, mu_k: coefficients of static and kinetic friction.
@@ -47,11 +47,12 @@ def simulate_trial(
         frame_rate: frames/s.
         loading_s: s from no load to the critical one.
         collapse_ms: ms from the critical area to none, where mu_k < mu_s; 130 to 310 in the paper.
-        area_noise: standard deviation of d^2; a measured area is from 0 to 1.
-        load_noise: standard deviation of T/N, white, in parts of the critical load.
-        oscillation: amplitude of a swing of T/N at 3 Hz, in parts of itself. The stuck area follows the largest T/N
+        area_noise: standard deviation of d^2; a measured area is clipped to 0 to 1.
+        load_noise: standard deviation of T/N, white, relative to the critical load.
+        oscillation: relative amplitude of a 3 Hz oscillation of T/N. The stuck area follows the largest T/N
             so far: skin that slipped does not stick again.
-        reached: part of the critical load at which loading stops; below 1 there is no full slip.
+        reached: share of the critical load at which loading stops; below 1 there is no full slip unless the oscillation
+            reaches the critical load.
     """
     noise = np.random.default_rng(seed)
     largest = float(critical_load_ratio(mu_s, mu_k))

@@ -1,4 +1,4 @@
-"""The verdict of a trial: does the stuck area vanish at once, or does it fade?"""
+"""Classification of a trial: does the stuck area vanish at once, or does it fade?"""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,42 +13,42 @@ from fingerflow.models.partial_slip.evolution import friction_ratio
 Values = NDArray[np.float64]
 Outcome = Literal["vanishes abruptly", "diminishes", "inconclusive"]
 
-CORRIDOR = 0.05  # either side of T/N just before the complete loss of adhesion
+CORRIDOR = 0.05  # relative half-width of the corridor around T/N just before the complete loss of adhesion
 SMALLEST_AREA = 0.05  # d^2 above which a minimal adhesion area exists
-# d^2 that an area which fades shows at the corridor's edge: (1 - T/(mu N))^(1/2) at T/(mu N) = 0.95 for mu_s = mu_k,
-# and less for mu_s < mu_k.
+# d^2 of a fading area at the corridor's edge: (1 - T/(mu N))^(1/2) at T/(mu N) = 0.95 for mu_s = mu_k, and less for
+# mu_s < mu_k.
 FADING_AREA = math.sqrt(CORRIDOR)
 
 _SMOOTHED_S = 0.05  # s of the running medians, and five frames at least
 _REFERENCE_S = 0.05  # s before the complete loss over which its T/N is taken
 _FEWEST = 15  # frames with d^2 and T/N
-_LARGEST_FALL = CORRIDOR  # of T/N before the complete loss; more is no slow loading
+_LARGEST_FALL = CORRIDOR  # relative fall of T/N before the complete loss; with more the loading is not slow
 _LARGEST_NOISE = CORRIDOR / 2  # standard deviation of T/N from frame to frame
 _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """`judge_trial`'s answer and every number behind it; NaN and -1 where a number could not be had.
+    """Result of `judge_trial` with every number behind it; NaN or -1 where a number could not be computed.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
         reason: why, in a sentence.
-        printed_outcome: what the rule gives as the paper has it, with 0.05 as the limit of `corridor_area`.
+        printed_outcome: outcome of the rule as printed, with 0.05 as the limit of `corridor_area`.
         loss_frame: index of the first frame from which on d^2 is 0.05 at most, taken as no adhesion.
         loss_load_ratio: T/N just before it.
         corridor_frames: first and last index of the run of frames before the loss with T/N inside the corridor.
-        corridor_area: largest d^2 in that run, and `corridor_ms`, how long the run lasted before the loss.
-        critical_area: d^2_critic without the part that slow loading explains; 0 at least.
+        corridor_area: largest d^2 in that run; `corridor_ms`, time from that frame to the loss.
+        critical_area: d^2_critic, `corridor_area` without the part explained by slow loading; 0 at least.
         critical_area_std: its standard deviation, as given.
         critical_extent: d, its linear extent.
         collapse_frame: index of the last frame with the critical area.
-        collapse_ms: how long the critical area takes to vanish: from 0.8 to 0.2 of it, over 0.6, because the first and
-            the last of it are lost in noise.
+        collapse_ms: time in which the critical area vanishes: from 0.8 to 0.2 of it, over 0.6, because the first and
+            the last part are lost in noise.
         friction_ratio: mu_k / mu_s that the critical area implies; NaN unless the area vanishes abruptly.
-        steepest_fall: largest fall of T/N before the loss, in parts of `loss_load_ratio`.
-        load_noise: standard deviation of T/N from frame to frame, in the same parts.
-        frames_measured: frames with both d^2 and T/N, and `frames_missing` without one or both.
+        steepest_fall: largest fall of T/N before the loss, relative to `loss_load_ratio`.
+        load_noise: standard deviation of T/N from frame to frame, relative to the same.
+        frames_measured: frames with both d^2 and T/N; `frames_missing`, frames without one or both.
     """
 
     outcome: Outcome
@@ -71,33 +71,32 @@ class TrialVerdict:
     frames_missing: int = 0
 
     def loading(self) -> slice:
-        """The frames of slow loading, before the collapse: what a friction law may be fitted to."""
+        """Return the frames of slow loading, before the collapse, to which a friction law may be fitted."""
         return slice(0, self.collapse_frame + 1)
 
 
 def judge_trial(
     stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, critical_area_std: float = 0.0
 ) -> TrialVerdict:
-    """Does a minimal adhesion area exist in this trial? The corridor rule of Terekhov & Hayward 2011, section 3.
+    """Decide whether a trial has a minimal adhesion area: the corridor rule of Terekhov & Hayward 2011, section 3.
 
-    T/N is taken just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it. The
-    paper says that a minimal area exists if that d^2 is above 0.05. This number is where its curve for equal
-    coefficients, d^2 = 1 - T/(mu N), enters the corridor; but that curve is misprinted (see
-    `equal_friction_stuck_area`): an area that fades is still (0.05)^(1/2) = 0.224 there. By the same reasoning the
-    model's own d^2 there is c + 0.224 (1 - c), where c is the critical one. So the rule here solves for c, and a
-    minimal area exists if c > 0.05: if the d^2 in the corridor is above 0.262. The rule as printed stands in
-    `printed_outcome`. Skin whose area does not bend down towards the loss as the model's does, and vanishes from less
-    than 0.262, is judged to fade here and to vanish abruptly there: such a trial deserves a look.
+    The rule takes T/N just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it.
+    The paper states that a minimal area exists if that d^2 is above 0.05. There its curve for equal coefficients, d^2 =
+    1 - T/(mu N), enters the corridor; but that curve is misprinted (see `equal_friction_stuck_area`): a fading area is
+    still (0.05)^(1/2) = 0.224 there. By the same reasoning the model's own d^2 there is c + 0.224 (1 - c), where c is
+    the critical one. The rule used here solves for c: a minimal area exists if c > 0.05, that is if the d^2 in the
+    corridor is above 0.262. `printed_outcome` holds the rule as printed. The two rules disagree for an area that
+    vanishes from less than 0.262 without bending down towards the loss as the model does. It counts as fading here and
+    as vanishing abruptly in print: inspect such a trial.
+
+    Both curves are smoothed by running medians over 50 ms, five frames at least, so single wrong frames have no effect.
 
     Args:
-        stuck_area: (F,) d^2 a frame: stuck area over contact area. NaN where it was not measured.
+        stuck_area: (F,) d^2 per frame: stuck area over contact area. NaN where it was not measured.
         load_ratio: (F,) T/N. NaN where there are no forces, as after the end of their file.
         time: (F,) s, increasing.
-        critical_area_std: standard deviation of the critical area. Where it is within that of the limit of 0.05, the
+        critical_area_std: standard deviation of the critical area. If it exceeds the distance to the limit of 0.05, the
             trial is "inconclusive", with all its numbers but the ratio of frictions.
-
-    Single frames that are wrong have no say: both curves are smoothed by running medians over 50 ms, five frames at
-    least.
 
     Raises:
         ValueError: the arrays differ in length or have more than one dimension, the time does not increase, or the
@@ -205,7 +204,7 @@ def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
 
 
 def _smoothed(values: Values, width: int) -> Values:
-    """Running median over the finite values; the others stay NaN."""
+    """Return the running median over the finite values; the others stay NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = median_filter(values[finite], size=width, mode="nearest")
@@ -213,7 +212,7 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _complete_loss(area: Values) -> int | None:
-    """The first frame from which on nothing is stuck, up to the end."""
+    """Return the first frame from which on d^2 is at most 0.05 up to the end; None if there is none."""
     known = np.flatnonzero(np.isfinite(area))
     still = np.flatnonzero(area[known] > SMALLEST_AREA)
     after = still[-1] + 1 if still.size else 0
@@ -221,13 +220,13 @@ def _complete_loss(area: Values) -> int | None:
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
-    """The measured frames before the loss, back to the last one with T/N outside of the corridor."""
+    """Return the measured frames before the loss, back to the last one with T/N outside of the corridor."""
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known
 
 
 def _frame_noise(values: Values) -> float:
-    """Standard deviation of white noise, from second differences, which a slow change does not enter."""
+    """Return the standard deviation of white noise, from second differences, which a slow change does not affect."""
     second = np.diff(values[np.isfinite(values)], 2)
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan

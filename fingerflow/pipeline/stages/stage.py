@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.pipeline.stages.trial.inputs import Inputs
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
 from fingerflow.schema.variables import Variable
 
@@ -39,7 +39,7 @@ class Batch:
 
 
 @dataclass
-class Trial:
+class RunContext:
     """Run context: inputs, results so far, plan and stages of one recording."""
 
     inputs: Inputs
@@ -63,7 +63,7 @@ class Stage:
 
     The pipeline goes over the frames once for all stages that depend only on each other's steps, and again for the
     stages after them. It calls `begin` of each stage in the order of dependencies, `step` batch by batch, `finish`, and
-    `derive`. A stage writes results of frames to `Trial.results` as they are computed; for all frames it holds only a
+    `derive`. A stage writes results of frames to `RunContext.results` as they are computed; for all frames it holds only a
     few numbers a frame.
 
     Attributes:
@@ -95,7 +95,7 @@ class Stage:
     settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = False
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         self.trial = trial
         self.warnings: list[str] = []
         self.inputs = trial.inputs

@@ -35,7 +35,7 @@ def kinds() -> str:
     return f"{', '.join(one.READS for one in readers())} or a video file"
 
 
-def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
+def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
     """Return the frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are for raw files.
 
     Raises PlayerError where there are no frames, or none that can be read.

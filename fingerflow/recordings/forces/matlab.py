@@ -10,8 +10,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import ForceTable
+from fingerflow.recordings.guard.child_process import read_matlab_apart
 from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.walker import read_matlab_apart
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"

@@ -10,8 +10,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import ForceTable
+from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.walker import check_by_walking
 
 
 def read_table(path: Path) -> ForceTable:
@@ -26,7 +26,7 @@ def read_table(path: Path) -> ForceTable:
         raise FingerflowError(
             f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
         ) from None
-    check_by_walking(path, "TDMS")
+    check_in_child_process(path, "TDMS")
     # Opened, not read: the stated content is compared with the file's size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
         table, clocks = _columns(path, file)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.walker import check_by_walking
 from fingerflow.schema.claimed_sizes import MOST_PIXELS
 
 CACHE_BYTES = 128 * 2**20
@@ -37,7 +37,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
     """
-    check_by_walking(path, "video")
+    check_in_child_process(path, "video")
     with _open(path) as container, reading(path, "video"):
         if not container.streams.video:
             raise FingerflowError(f"{path}: has no video stream; name a video, or record it again")

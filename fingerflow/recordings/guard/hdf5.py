@@ -9,8 +9,8 @@ from typing import Any
 import h5py
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import check_file, plausible_size, reading
-from fingerflow.recordings.guard.walker import check_by_walking
 
 KIND = "HDF5"
 
@@ -19,10 +19,10 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
     """Return `h5py.File(path, "r")` after a separate process has traversed the file.
 
     Raises FingerflowError where the file cannot be opened, or where traversing it ended that process (see
-    :func:`check_by_walking`).
+    :func:`check_in_child_process`).
     """
     check_file(path)
-    check_by_walking(path, "hdf5")
+    check_in_child_process(path, "hdf5")
     with reading(path, KIND):
         return h5py.File(path, "r", **options)
 

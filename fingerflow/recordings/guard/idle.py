@@ -17,7 +17,7 @@ class IdleLimit:
 
     It checks once a second. A check counts as idle if neither the process nor any of its children is running, waits for
     a CPU, or has used CPU time since the check before. Time in which other programs occupy the machine, or in which it
-    sleeps, does not count. Endless computation is ended by a limit of CPU time (`walk`).
+    sleeps, does not count. Endless computation is ended by a limit of CPU time (`child_reader`).
     """
 
     def __init__(self, process: int, seconds: float) -> None:

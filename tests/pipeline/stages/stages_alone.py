@@ -10,18 +10,18 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.pipeline.run import _pass, _Way
 from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
+from fingerflow.pipeline.stages.preparation.loading import LoadingStage
+from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.trial.inputs import Inputs
-from fingerflow.pipeline.stages.trial.loading import LoadingStage
 from fingerflow.results.store import MemoryStore
 
 
-def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> Trial:
+def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> RunContext:
     """A trial whose contact has these results a frame, and whose variables are given."""
     inputs.times = inputs.times[:frames]
-    trial = Trial(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
+    trial = RunContext(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
     stage.series, stage.inputs, stage.cell_px = contact, inputs, 4
     check = object.__new__(FrameCheckStage)
@@ -44,12 +44,12 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     return trial
 
 
-def run(trial: Trial, *stages: Stage) -> None:
+def run(trial: RunContext, *stages: Stage) -> None:
     """All parts of these stages, which share a pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
     run_alone(_pass(stages, trial, {}, _Way(progress=False)))
 
 
-def values_of(trial: Trial, name: str) -> NDArray[Any]:
+def values_of(trial: RunContext, name: str) -> NDArray[Any]:
     """A variable as a whole."""
     return np.asarray(trial.results[name][:])

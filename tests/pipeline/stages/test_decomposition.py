@@ -11,8 +11,8 @@ from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
 from fingerflow.pipeline.stages.fields.fields import FieldsStage
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.strain.strain import StrainStage
-from fingerflow.pipeline.stages.trial.inputs import Inputs
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
 FRAMES, SCALE = 4, 0.03

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import write_recording

@@ -12,8 +12,8 @@ from matplotlib.path import Path as Outline
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.pipeline.stages.trial import plausibility
-from fingerflow.pipeline.stages.trial.regions import region_mask
+from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.player.scene import load_scene as load_stream
 from fingerflow.player.scene import stream_settings
 from fingerflow.schema.region import ellipse_runs, polygon_runs

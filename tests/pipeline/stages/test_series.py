@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from fingerflow.pipeline.stages.trial.series import nanmedian, rate
+from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 
 STEP = 1 / 300
 

@@ -22,10 +22,10 @@ from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields import FieldsStage
 from fingerflow.pipeline.stages.fields.median_bias import MedianBias, of_ranks
-from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.pipeline.stages.preparation.inputs import Inputs
+from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain
 from fingerflow.pipeline.stages.strain.strain import StrainStage
-from fingerflow.pipeline.stages.trial.inputs import Inputs
 from fingerflow.tracker.border import BORDER_MM, Border
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # of the border, mm a frame
@@ -106,7 +106,7 @@ def _shared(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return root
 
 
-def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES) -> Trial:
+def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES) -> RunContext:
     """Key frame 0: its template's noise is in every later position; a position's covariance is that of both images.
 
     From the frame `known` on every point is lost."""
@@ -130,7 +130,7 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     )
 
 
-def exact(motion: Motion, points: NDArray[np.float64], found: Trial, places: bool) -> Trial:
+def exact(motion: Motion, points: NDArray[np.float64], found: RunContext, places: bool) -> RunContext:
     """The same points, from where they were when the border reached them, without errors; measured at the places of
     onset that were found, or at the true ones."""
     trial = tracked(motion, points, 0)
@@ -159,7 +159,7 @@ def exact(motion: Motion, points: NDArray[np.float64], found: Trial, places: boo
     return measured(trial, moved)
 
 
-def measured(trial: Trial, moved: DisplacementStage | None = None) -> Trial:
+def measured(trial: RunContext, moved: DisplacementStage | None = None) -> RunContext:
     """With displacement, fields and strain."""
     run(trial, moved or DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
     return trial

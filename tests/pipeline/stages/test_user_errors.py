@@ -254,7 +254,7 @@ def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -
         recording.close = closing  # type: ignore[method-assign]
         return recording
 
-    monkeypatch.setattr("fingerflow.pipeline.stages.trial.inputs.open_recording", counted)
+    monkeypatch.setattr("fingerflow.pipeline.stages.preparation.inputs.open_recording", counted)
     process(changed(), AREAS)
     assert sorted(closed) == sorted(opened)
     assert len(opened) == 3

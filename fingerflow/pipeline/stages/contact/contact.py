@@ -14,12 +14,12 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.morphology import dilate
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
-from fingerflow.pipeline.stages.trial import plausibility
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.trial.inputs import read_frames
-from fingerflow.pipeline.stages.trial.loading import LoadingStage
-from fingerflow.pipeline.stages.trial.regions import region_mask
+from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.inputs import read_frames
+from fingerflow.pipeline.stages.preparation.loading import LoadingStage
+from fingerflow.pipeline.stages.preparation.regions import region_mask
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT
 
 _LEAST_LIGHT = 0.1
@@ -52,7 +52,7 @@ class ContactStage(Stage):
     )
     restored = True
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._view = self.inputs.scene.views.contact
         self._engine = self.inputs.engine

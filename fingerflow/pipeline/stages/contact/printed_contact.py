@@ -14,7 +14,7 @@ from fingerflow.ops.filters.illumination import (
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.filters.morphology import erode
 from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FRAME, Variable
 
 _MEDIAN_PX = 9
@@ -64,7 +64,7 @@ class PrintedContactStage(Stage):
     reads_frames = True
     settings = ("views.contact", "background", "calibration.mm_per_px")
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._view = self.inputs.scene.views.contact
         self._series = {variable.name: np.full(len(trial), np.nan) for variable in PRINTED_CONTACT}

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.reference import Reference, reference_of
+from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.trial.reference import Reference, reference_of
-from fingerflow.pipeline.stages.trial.series import nanmedian
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY
 from fingerflow.tracker.border import BORDER_MM, Border
@@ -90,7 +90,7 @@ class DisplacementStage(Stage):
     noise: Points
     of_onset: Points
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._scale = self.inputs.topography_mm_per_px
         self._template = self.inputs.scene.tracking.template

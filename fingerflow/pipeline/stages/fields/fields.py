@@ -10,9 +10,9 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.median_bias import MedianBias
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
-from fingerflow.pipeline.stages.trial import plausibility
-from fingerflow.pipeline.stages.trial.series import nanmedian, rate
+from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FIELDS
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.entry import EntryGradients
@@ -40,7 +40,7 @@ class FieldsStage(Stage):
     after = (ContactStage,)
     settings = ("fields.gauge_length_mm", "fields.strain", "fields.rate_window_s", "recording.times")
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
         self._engine = self.inputs.engine

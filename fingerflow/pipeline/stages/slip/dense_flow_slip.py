@@ -11,12 +11,12 @@ from torch import Tensor
 
 from fingerflow.models.partial_slip.border import Seen
 from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
 from fingerflow.pipeline.stages.slip.skin_flow import Field, Mask, SkinFlow
 from fingerflow.pipeline.stages.slip.slip import SlipStage
 from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.pipeline.stages.stage import Batch
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
 
 _MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector whose two components have a standard deviation of 1
 _DISAGREE = 4.0  # standard deviations; smoothing, which they do not contain, makes up to 2 on the synthetic trials

@@ -26,12 +26,12 @@ from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.contact.components import largest_component
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.preparation.loading import LoadingStage
+from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.slip.slip_grid import Field, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
-from fingerflow.pipeline.stages.trial.loading import LoadingStage
-from fingerflow.pipeline.stages.trial.series import nanmedian
 from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # share of the contact in which the displacement must be known
@@ -91,7 +91,7 @@ class SlipStage(Stage):
     )
     clear = 0.0  # argument of `StuckBorder`: single points show the border well above their noise
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.slip
         self._ratio, self._coverage, self._annulus, self._direction, self._speed = np.full((5, len(trial)), np.nan)

@@ -13,9 +13,9 @@ from fingerflow.ops.contact.light_change import light_change
 from fingerflow.ops.contact.otsu import otsu_threshold
 from fingerflow.ops.filters.morphology import dilate
 from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
-from fingerflow.pipeline.stages.trial.loading import LoadingStage
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT
 
 CELL_PX = 4
@@ -45,7 +45,7 @@ class MarkerContactStage(ContactStage):
     after = (LoadingStage, MarkerStage)
     settings = ("contact.threshold", "views.contact", "calibration.mm_per_px")
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         Stage.__init__(self, trial)
         self._view = self.inputs.scene.views.contact
         self.cell_px = CELL_PX

@@ -7,7 +7,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX
 from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.schema.variables import TRACKING
 
@@ -24,7 +24,7 @@ class MarkerTrackingStage(TrackingStage):
     reads_frames = False
     settings = ("calibration.mm_per_px", "calibration.topography_to_contact")
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         Stage.__init__(self, trial)
         self._share = np.full(len(trial), np.nan)
 

@@ -13,7 +13,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.markers.marker_matching import Ties, match_markers, tie_neighbours
 from fingerflow.ops.markers.markers import MarkerLook, detect_markers, measure_markers
 from fingerflow.pipeline.stages.soft_sensor.rest import find_rest
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 
 _LOOKS = 8  # sampled frames in which the appearance of the markers is measured
 _GAUGE_SPACINGS = 3.0  # diameter, in spacings, within which a marker of a square lattice has eight neighbours
@@ -69,7 +69,7 @@ class MarkerStage(Stage):
     disagreement: NDArray[np.float64]
     status: NDArray[np.uint8]
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._view = self.inputs.scene.views["camera"]
         self._seen: list[Seen] = []

@@ -8,7 +8,7 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
 from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
-from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.schema.variables import SENSOR_SLIP
 
@@ -42,7 +42,7 @@ class SensorSlipStage(Stage):
     after = (ContactStage, TrackingStage, DisplacementStage, MarkerStage)
     settings = ("slip.stuck_mm", "calibration.mm_per_px")
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._limit = self.inputs.scene.slip.stuck_mm
 

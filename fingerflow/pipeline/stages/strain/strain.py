@@ -12,11 +12,11 @@ from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.preparation.series import rate
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.border_energy import border_energy
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
-from fingerflow.pipeline.stages.trial.series import rate
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.border import Border
 
@@ -46,7 +46,7 @@ class StrainStage(Stage):
         *("fields.gauge_length_mm", "fields.rate_window_s", "tracking.window_px", "recording.times"),
     )
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
         self._energy, self._energy_std = np.full((2, len(trial)), np.nan)

@@ -14,12 +14,12 @@ from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.regions import region_mask
+from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
-from fingerflow.pipeline.stages.trial import plausibility
-from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.trial.regions import region_mask
-from fingerflow.pipeline.stages.trial.series import nanmedian
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.motion import PointMotion
@@ -52,7 +52,7 @@ class TrackingStage(Stage):
     )
     restored = True
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         inputs, view = self.inputs, self.inputs.scene.views.topography
         assert view is not None

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import LONGEST, block_distances
@@ -44,7 +44,7 @@ class FrameCheckStage(Stage):
 
     usable: NDArray[np.bool_]
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]

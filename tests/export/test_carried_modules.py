@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fingerflow.export import rooms
+from fingerflow.export import carried_modules
 from fingerflow.export.bundle import scene_for
 from fingerflow.recordings import open_recording
 from tests.fuzz.samples import samples
@@ -25,10 +25,10 @@ import numpy as np
 absent = {name: None for name in ("torch", "scipy", "h5py", "cv2", *sys.argv[3:])}
 sys.modules.update(absent)
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources import open_recording
+from fingerflow.player.sources import open_source
 
 try:
-    source = open_recording(Path(sys.argv[1]), None, "uint8", 1)
+    source = open_source(Path(sys.argv[1]), None, "uint8", 1)
     frames = []
     while (frame := source.read()) is not None:
         frames.append(frame)
@@ -44,7 +44,7 @@ assert all(file.is_relative_to(Path.cwd()) for file in loaded), loaded
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
-    rooms.carry_rooms(folder)
+    carried_modules.carry_modules(folder)
     return folder
 
 
@@ -109,18 +109,18 @@ def test_files_are_carried_as_they_are(bundle: Path) -> None:
         f"player/page/{name}" for name in ("index.html", "page.css", "page.js")
     }
     for file in files - library:
-        assert (home / file).read_bytes() == (rooms.PACKAGE / file).read_bytes()
+        assert (home / file).read_bytes() == (carried_modules.PACKAGE / file).read_bytes()
 
 
 def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
-    carried = rooms.carried()
-    files = [file for room in rooms.WHOLE for file in (rooms.PACKAGE / room).rglob("*.py")]
-    left_out = {str(file.relative_to(rooms.PACKAGE)) for file in files if file not in carried.values()}
-    assert left_out <= {"engines/torch.py"}, f"their imports need more than {sorted(rooms.ON_THE_LAB_PC)}"
+    carried = carried_modules.carried()
+    files = [file for room in carried_modules.WHOLE for file in (carried_modules.PACKAGE / room).rglob("*.py")]
+    left_out = {str(file.relative_to(carried_modules.PACKAGE)) for file in files if file not in carried.values()}
+    assert left_out <= {"engines/torch.py"}, f"their imports need more than {sorted(carried_modules.ON_THE_LAB_PC)}"
     of_package = {name.split(".")[1] for name in carried if "." in name}
     assert of_package <= {"engines", "errors", "kernels", "player", "recordings", "results", "schema", "tracker"}
-    assert rooms.needed_to_load("fingerflow.player.cli") <= {"numpy", "onnxruntime"}
-    assert "torch" in rooms.needed_to_load("fingerflow.export.build")
+    assert carried_modules.needed_to_load("fingerflow.player.cli") <= {"numpy", "onnxruntime"}
+    assert "torch" in carried_modules.needed_to_load("fingerflow.export.build")
 
 
 def test_every_carried_module_finds_what_it_loads(bundle: Path) -> None:
@@ -133,7 +133,7 @@ sys.modules.update({name: None for name in ("torch", "scipy", "h5py", "cv2", "av
 for name in sys.argv[1:]:
     assert Path(import_module(name).__file__).is_relative_to(Path.cwd()), name
 """
-    command = [sys.executable, "-c", code, *rooms.carried()]
+    command = [sys.executable, "-c", code, *carried_modules.carried()]
     ended = subprocess.run(command, cwd=bundle, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
 
@@ -145,8 +145,8 @@ def test_the_library_goes_along_where_it_was_built(
     library = tmp_path / "_kernels.cpython-399.so"
     library.write_bytes(b"code")
     found = ModuleSpec("fingerflow._kernels", None, origin=str(library)) if built else None
-    monkeypatch.setattr(rooms, "find_spec", lambda name: found)
-    rooms.carry_rooms(tmp_path / "bundle")
+    monkeypatch.setattr(carried_modules, "find_spec", lambda name: found)
+    carried_modules.carry_modules(tmp_path / "bundle")
     copies = list((tmp_path / "bundle" / "fingerflow").glob("_kernels*"))
     assert [file.read_bytes() for file in copies] == ([b"code"] if built else [])
     assert ("no compiled library" in caplog.text) != built

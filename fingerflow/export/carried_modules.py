@@ -22,7 +22,7 @@ _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
 log = logging.getLogger("fingerflow.export")
 
 
-def carry_rooms(bundle: Path) -> None:
+def carry_modules(bundle: Path) -> None:
     """Copy what the player needs into the folder `fingerflow` of a bundle: modules, live page, compiled library.
 
     A library that was not built is left out with a warning in the log. In the bundle its file name has no Python

@@ -27,7 +27,7 @@ def main() -> None:
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)
-        through, libraries = WALKS[kind]
+        through, libraries = READERS[kind]
         for library in libraries:
             importlib.import_module(library)  # before the limit is set: their memory depends on the number of CPUs
         print(json.dumps(_walk(path, through)), flush=True)
@@ -123,7 +123,7 @@ def through_video(path: str) -> str:
         return ""
 
 
-WALKS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
+READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     "hdf5": (through_hdf5, ("h5py",)),
     "MATLAB": (through_matlab, ("h5py", "scipy.io", "pymatreader")),
     "TDMS": (through_tdms, ("nptdms",)),

@@ -19,32 +19,32 @@ from typing import Any
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.guard import walk
+from fingerflow.recordings.guard import child_reader
 from fingerflow.recordings.guard.idle import IdleLimit
 
 _MOST_IDLE_SECONDS = 120.0  # for disks that do not respond
 
 
-def check_by_walking(path: Path, kind: str) -> None:
-    """Check that a separate process can traverse a file of a kind of `walk.WALKS`.
+def check_in_child_process(path: Path, kind: str) -> None:
+    """Check that a separate process can traverse a file of a kind of `child_reader.READERS`.
 
     The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
     Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
     memory than a file of its size can need.
     """
-    _sound(path, kind, _walker.ask(path, kind))
+    _sound(path, kind, _child.ask(path, kind))
 
 
 def read_matlab_apart(path: Path) -> dict[str, Any]:
     """Return the content of a MATLAB file, read by that process.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
-    :func:`check_by_walking`, and where the file cannot be read.
+    :func:`check_in_child_process`, and where the file cannot be read.
     """
-    found = _walker.ask(path, "MATLAB")
+    found = _child.ask(path, "MATLAB")
     _sound(path, "MATLAB", found)
-    return dict(_from_json(found or walk.as_json(walk.read_matlab(str(path)))))
+    return dict(_from_json(found or child_reader.as_json(child_reader.read_matlab(str(path)))))
 
 
 def _sound(path: Path, kind: str, answer: Any) -> None:
@@ -60,7 +60,7 @@ def _from_json(value: Any) -> Any:
     return value
 
 
-class _Walker:
+class _ChildProcess:
     """Process that traverses files, started on first use and again after each file that ended it."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class _Walker:
         if self._cannot_start:
             return None
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        command = [os.fsdecode(get_executable()), "-P", str(Path(walk.__file__))]
+        command = [os.fsdecode(get_executable()), "-P", str(Path(child_reader.__file__))]
         try:
             process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
@@ -133,9 +133,9 @@ class _Walker:
 
 def _end(status: int) -> str:
     if status < 0 and -status in (getattr(signal, "SIGPROF", 0), getattr(signal, "SIGKILL", 0)):
-        return f"did not come to an end within {walk.CPU_SECONDS:g} s"
+        return f"did not come to an end within {child_reader.CPU_SECONDS:g} s"
     return "crashed"
 
 
-_walker = _Walker()
-atexit.register(_walker.close)
+_child = _ChildProcess()
+atexit.register(_child.close)

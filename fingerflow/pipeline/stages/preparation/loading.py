@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.recordings import Forces, open_forces
 from fingerflow.recordings.forces.newtons import Sensor, to_newtons
 from fingerflow.schema.scene import ForceSettings
@@ -37,7 +37,7 @@ class LoadingStage(Stage):
     settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
     restored = True
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self.normal: Series | None = None
         self.tangential: Series | None = None

@@ -12,8 +12,8 @@ from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import Modules, images_on
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.trial import plausibility
-from fingerflow.pipeline.stages.trial.reference import frame_asked
+from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation.reference import frame_asked
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View
