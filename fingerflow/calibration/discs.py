@@ -148,7 +148,7 @@ def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[
 
 
 def _ring(radius: float) -> tuple[Array, Array]:
-    """Return the outward unit vectors (x, y) of a soft ring, weighted to sum to 1 in length; wide enough for an ellipse."""
+    """Return a soft ring of outward unit vectors (x, y) with weights that sum to 1; wide enough for an ellipse."""
     width = 0.12 * radius
     reach = int(np.ceil(radius + 3 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

@@ -93,7 +93,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 @dataclass(frozen=True)
 class _Unwrapped:
-    """Grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}; `shape` is the inverse of `inverse`.
+    """Grey levels (rays, radii) around an ellipse {p : |shape^-1 (p - middle)| = 1}.
 
     `factors` are the radii as multiples of the ellipse's own.
     """

@@ -24,7 +24,10 @@ AMBIGUOUS = 0.5
 
 @dataclass(frozen=True)
 class Transform:
-    """Transform `matrix` (2, 3) float64, from (x, y, 1) px to (x, y) px; `residuals_px` (N, 2), found minus transformed."""
+    """Affine or similarity `matrix` (2, 3) float64 from (x, y, 1) px to (x, y) px, and its residuals.
+
+    `residuals_px` (N, 2) are found minus transformed.
+    """
 
     matrix: Array
     residuals_px: Array

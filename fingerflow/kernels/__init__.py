@@ -1,5 +1,5 @@
-"""The binding of the compiled library: typed functions of NumPy arrays or torch tensors, results of the same kind.
+"""Binding of the compiled library: typed functions of NumPy arrays or torch tensors, with results of the same kind.
 
-A function of `contact`, `fields`, `flow`, `skin` and `tracking` checks its arguments, makes its results and calls the
-library. Nothing here imports torch but `tensors`, by which ops call the same functions as ops of torch's own.
+A function of `contact`, `fields`, `flow`, `skin` or `tracking` checks its arguments, allocates its results and calls
+the library. Only `tensors` imports torch; it registers the same functions as ops of torch.
 """

@@ -1,4 +1,4 @@
-"""What kernels need of an array, whether it is NumPy's or a tensor of torch's, which is never imported for it."""
+"""Array operations for the kernels on NumPy arrays and torch tensors alike, without importing torch."""
 
 import ctypes
 import sys
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class Shaped(Protocol):
-    """What NumPy arrays and tensors of torch have in common."""
+    """Common interface of NumPy arrays and torch tensors."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -19,12 +19,12 @@ class Shaped(Protocol):
     def dtype(self) -> Any: ...
 
 
-#: Arrays of one kind: a function gives results of the kind of its arguments, NumPy's or torch's.
+#: NumPy arrays or torch tensors: the results of a function are of the kind of its arguments.
 Array = TypeVar("Array", bound=Shaped)
 
 
 class _Kinds(dict[Any, str]):
-    """Names by dtype, of NumPy or of torch."""
+    """Cache of the names of dtypes of NumPy and torch."""
 
     def __missing__(self, dtype: Any) -> str:
         self[dtype] = str(dtype).removeprefix("torch.")
@@ -35,12 +35,12 @@ KINDS = _Kinds()
 
 
 def kind(array: Shaped) -> str:
-    """Return the name of the numbers of an array: "uint8", "float32", "bool"; that of foreign byte order differs."""
+    """Return the name of the dtype of an array: "uint8", "float32", "bool"; a foreign byte order has another name."""
     return KINDS[array.dtype]
 
 
 def empty(like: Array, kind: str, *shape: int) -> Array:
-    """Return an array of the kind of `like`, for results; the defaults of torch do not touch it."""
+    """Return an uninitialised array of the kind of `like`, independent of the default dtype and device of torch."""
     given: Any = like
     if isinstance(given, np.ndarray):
         made: Any = np.empty(shape, kind)
@@ -60,7 +60,7 @@ def zeros(like: Array, kind: str, *shape: int) -> Array:
 
 
 def in_one_piece(array: Array) -> Array:
-    """Return the array itself where its numbers follow one another in memory, else a copy."""
+    """Return the array itself if it is contiguous (and, in NumPy, aligned), else a contiguous copy."""
     given: Any = array
     if not isinstance(given, np.ndarray):
         return given.contiguous()  # type: ignore[no-any-return]
@@ -69,7 +69,7 @@ def in_one_piece(array: Array) -> Array:
 
 
 def copied(array: Array) -> Array:
-    """Return a copy in one piece."""
+    """Return a contiguous copy."""
     given: Any = array
     if isinstance(given, np.ndarray):
         return cast(Array, given.copy())
@@ -77,7 +77,7 @@ def copied(array: Array) -> Array:
 
 
 def with_axes_reversed(array: Array, kind: str) -> Array:
-    """Return a copy in one piece, last axis first, of numbers of another kind."""
+    """Return a contiguous array with its axes reversed and the dtype `kind`."""
     given: Any = array
     if isinstance(given, np.ndarray):
         return cast(Array, given.T.astype(kind, order="C"))
@@ -86,13 +86,13 @@ def with_axes_reversed(array: Array, kind: str) -> Array:
 
 
 def may_be_written(array: Shaped) -> bool:
-    """Return whether results can be written to the array as it is: in one piece, and not protected."""
+    """Return whether results can be written to the array directly: it is contiguous and, in NumPy, writable."""
     given: Any = array
     return bool(given.flags.carray if isinstance(given, np.ndarray) else given.is_contiguous())
 
 
 def rows_in_one_piece(frames: Array) -> Array:
-    """Return frames (B, 1, H, W) themselves where pixels of a row are neighbours in memory, else a copy."""
+    """Return frames (B, 1, H, W) themselves if the pixels of a row are contiguous, else a contiguous copy."""
     given: Any = frames
     if not isinstance(given, np.ndarray):
         one_piece = given.stride(3) == 1 or given.shape[3] == 1
@@ -116,17 +116,17 @@ def strides_of_rows(frames: Shaped) -> tuple[int, int]:
 
 
 def range_of(array: Shaped) -> tuple[int, int]:
-    """Return the least and the greatest number of an array of integers that is not empty."""
+    """Return the minimum and the maximum of a non-empty array of integers."""
     given: Any = array
     if isinstance(given, np.ndarray):
         return int(given.min()), int(given.max())
-    # torch orders no uint16.
+    # torch has no minimum of uint16.
     least, greatest = (given.int() if kind(array) == "uint16" else given).aminmax()
     return int(least), int(greatest)
 
 
 def address(array: Shaped) -> int:
-    """Return where an array begins in memory."""
+    """Return the address of the first element of an array."""
     given: Any = array
     return address_of_numpy(given) if isinstance(given, np.ndarray) else given.data_ptr()
 
@@ -136,12 +136,12 @@ def _by_interface(array: NDArray[Any]) -> int:
 
 
 def _by_layout(array: NDArray[Any]) -> int:
-    """Read the address from the object itself, behind the head that all objects have: 0.1 us in place of 0.9."""
+    """Return the address as read from the array object, behind the common object header: 0.1 us in place of 0.9."""
     return ctypes.c_size_t.from_address(id(array) + object.__basicsize__).value
 
 
 def _layout_is_known() -> bool:
-    """Return whether addresses lie where NumPy's C interface has them, in CPython."""
+    """Return whether array objects have the layout of NumPy's C interface in CPython."""
     example = np.zeros(3)
     return sys.implementation.name == "cpython" and all(
         _by_layout(one) == _by_interface(one) for one in (example, example[1:])
@@ -152,7 +152,7 @@ address_of_numpy = _by_layout if _layout_is_known() else _by_interface
 
 
 def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
-    """Return the inverses (..., 2, 2) of matrices of NumPy; not finite where they are singular."""
+    """Return the inverses (..., 2, 2) of NumPy matrices; not finite where these are singular."""
     a, b, c, d = (matrix[..., row, column] for row in range(2) for column in range(2))
     with np.errstate(divide="ignore", invalid="ignore"):
         result: NDArray[Any] = np.stack((d, -b, -c, a), -1).reshape(matrix.shape) / (a * d - b * c)[..., None, None]

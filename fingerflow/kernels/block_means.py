@@ -15,8 +15,8 @@ Array = NDArray[Any]
 def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) -> tuple[Array, Array]:
     """Return means over blocks (K, rows, columns) and over the lines that are read (K, lines), float32.
 
-    As `tracker.block_means` has them, of frames (K, 1, H, W) of FRAME_KINDS: one line of `steps[0]` and one pixel of
-    `steps[1]` are read, and cut into `blocks` of them.
+    They are those of `tracker.block_means`, for frames (K, 1, H, W) of FRAME_KINDS. One line of `steps[0]` and one
+    pixel of `steps[1]` is read; `blocks` are the numbers of rows and columns of blocks.
 
     Raises:
         TypeError, ValueError: another dtype, or more blocks than are read.

@@ -1,4 +1,4 @@
-"""What functions of kernels ask of their arrays, and how they describe them."""
+"""Checks of the arrays of kernels, and their description as arguments."""
 
 from fingerflow.kernels.arrays import (
     KINDS,
@@ -16,7 +16,7 @@ FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # of kernels/
 
 
 def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) -> None:
-    """Raises TypeError for another dtype, ValueError for a shape other than (B, 1, H, W)."""
+    """Check frames: raise TypeError for another dtype, ValueError for a shape other than (B, 1, H, W)."""
     if kind(frames) not in kinds:
         raise TypeError(f"frames are {kind(frames)}: this compiled kernel takes {' or '.join(kinds)}")
     if frames.ndim != 4 or frames.shape[1] != 1:
@@ -24,13 +24,13 @@ def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) ->
 
 
 def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> None:
-    """Raises ValueError for another dtype or shape."""
+    """Check an array: raise ValueError for another dtype or shape."""
     if KINDS[array.dtype] != of or array.shape != shape:
         raise ValueError(f"{name} is {kind(array)} {tuple(array.shape)}: {of} {shape} is needed")
 
 
 def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
-    """Return the array in one piece of memory.
+    """Check an array and return it contiguous.
 
     Raises:
         ValueError: another dtype or shape.
@@ -40,7 +40,7 @@ def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
 
 
 def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
-    """Raises ValueError for an index (N, ...) that is not from 0 to below the `count` of what `of` says."""
+    """Check indices (N, ...): raise ValueError unless they lie from 0 to `count` - 1; `of` names what they count."""
     if values_are_known() and index.shape[0]:
         lowest, highest = range_of(index)
         if not 0 <= lowest <= highest < count:
@@ -50,21 +50,21 @@ def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
 
 
 def extent(frames: Shaped) -> dict[str, int]:
-    """Batch, height, width, and the strides of a frame and of a row in pixels."""
+    """Return batch, height, width, and the strides of a frame and of a row in pixels."""
     batch, _, height, width = frames.shape
     frame_stride, row_stride = strides_of_rows(frames)
     return {"batch": batch, "height": height, "width": width, "frame_stride": frame_stride, "row_stride": row_stride}
 
 
 def described(frames: Array) -> dict[str, Array | int]:
-    """`fingerflow_image` of frames with rows in one piece."""
+    """Return the fields of a `fingerflow_image` of frames with contiguous rows."""
     image_stride, row_stride = strides_of_rows(frames)
     strides = {"image_stride": image_stride, "row_stride": row_stride}
     return {"data": frames, "count": frames.shape[0], **strides, "kind": FRAME_KINDS[kind(frames)]}
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Return `fingerflow_lit_frames` of frames and the light behind them, pixels of a row neighbours in memory.
+    """Check frames and their light, and return the fields of `fingerflow_lit_frames`, with contiguous rows.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -90,7 +90,7 @@ def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
 
 
 def mask_of(frames: Array, mask: Array) -> Array:
-    """The mask (B or 1, 1, H, W) bool of frames, checked, pixels of a row neighbours in memory."""
+    """Check the mask (B or 1, 1, H, W) bool of frames and return it with contiguous rows."""
     check_frames(mask, ("bool",))
     if mask.shape[1:] != frames.shape[1:] or mask.shape[0] not in (1, frames.shape[0]):
         raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
@@ -98,7 +98,7 @@ def mask_of(frames: Array, mask: Array) -> Array:
 
 
 def described_mask(mask: Array | None) -> dict[str, Array | int | None]:
-    """The mask, its number of images, strides of an image and of a row."""
+    """Return the mask, its number of images, and the strides of an image and of a row in pixels."""
     names = ("mask", "masks", "mask_stride", "mask_row_stride")
     if mask is None:
         return dict(zip(names, (None, 0, 0, 0), strict=True))

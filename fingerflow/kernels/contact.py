@@ -1,4 +1,4 @@
-"""Kernels of the contact: medians, masks, thresholds, components, ellipses."""
+"""Kernels of the contact: medians, masks, thresholds, connected components, ellipses."""
 
 import functools
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ _BYTES = {"uint8": 1, "uint16": 2}
 
 
 def median(frames: Array, size: int) -> Array:
-    """Median of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter` has it.
+    """Return the median of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter`.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 31.
@@ -67,7 +67,7 @@ def median(frames: Array, size: int) -> Array:
         **extent(frames),
         pixel_bytes=_BYTES[kind(frames)],
         size=size,
-        table=table_of(int(size)),  # a compiler of torch gives a size without a value
+        table=table_of(int(size)),  # the torch compiler passes a size without a value
         threads=threads(),
     )
     return medians
@@ -75,16 +75,17 @@ def median(frames: Array, size: int) -> Array:
 
 @functools.cache
 def table_of(size: int) -> NDArray[np.uint16] | None:
-    """Return the table by which medians of this size are computed; None for those that have code of their own."""
+    """Return the table of the median program of this size; None for 1 and for sizes that are compiled."""
     return None if size == 1 or size in COMPILED_SIZES else np.array(median_table(size), np.uint16)
 
 
 def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, size: int) -> Array:
-    """(B, 1, H, W) bool, as `ops.contact.real_contact_mask` has it: frames of FRAME_KINDS, light and black (1 or B, 1,
-    H, W) and limits (B,) float32.
+    """Return the mask of real contact (B, 1, H, W) bool, as `ops.contact.real_contact_mask`.
+
+    Frames are of FRAME_KINDS; `light` and `black` (1 or B, 1, H, W) and `limits` (B,) are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not fit, a size that is even or outside 1 to 15.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, a size that is even or outside 1 to 15.
     """
     if not 1 <= size <= LARGEST_MAJORITY or size % 2 == 0:
         raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")
@@ -95,10 +96,12 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
 
 
 def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
-    """(B,) float32, as `ops.contact.light_gain` has it, from blocks of `side` px; tensors as for `real_contact_mask`.
+    """Return the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.light_gain`.
+
+    Arrays are as for `real_contact_mask`.
 
     Raises:
-        TypeError, ValueError: see there; a side that is no multiple of 8.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, a side that is no multiple of 8.
     """
     if side < 8 or side % 8:
         raise ValueError(f"blocks of {side} px: the compiled gain takes multiples of 8")
@@ -108,11 +111,13 @@ def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Quotients float32 and where they are known, bool, both (B, 1, H, W), as `ops.filters.illumination` has them: of
-    frames of FRAME_KINDS, light and black as for `real_contact_mask`, lit where light exceeds least, (1 or B,) float32.
+    """Normalise frames by their light, as `ops.filters.illumination` does: quotients float32, and a mask of known ones.
+
+    Both are (B, 1, H, W). Frames are of FRAME_KINDS, `light` and `black` as for `real_contact_mask`. A pixel is lit if
+    its light exceeds `least`, float32, one per image of light.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not fit.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     least, given = checked("least", least, "float32", (light.shape[0],)), lit(frames, light, black)
     quotients, known = empty(frames, "float32", *frames.shape), empty(frames, "bool", *frames.shape)
@@ -121,7 +126,7 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
 
 
 def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
-    """Counts (B, bins) int64 of uint8 or uint16 frames, of the pixels in mask (B or 1, 1, H, W) bool.
+    """Return the histogram (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
 
     `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
 
@@ -156,7 +161,7 @@ def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bin
 
 
 def otsu_threshold(counts: Array, low: float, high: float) -> Array:
-    """Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
+    """Return Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
 
     Raises:
         ValueError: another dtype or shape.
@@ -169,7 +174,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
 
 
 def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Array:
-    """A mask (B, 1, H, W) bool dilated, or eroded, by an element given by the half widths of its rows.
+    """Dilate a mask (B, 1, H, W) bool, or erode it with `of_background`, by an element of rows of these half widths.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or rows that do not grow towards the middle.
@@ -194,7 +199,7 @@ def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Arra
 
 
 def fill_holes(mask: Array) -> Array:
-    """The mask (B, 1, H, W) bool without holes, as `ops.contact.components` has it.
+    """Return the mask (B, 1, H, W) bool with its holes filled, as `ops.contact.components`.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -207,7 +212,7 @@ def fill_holes(mask: Array) -> Array:
 
 
 def largest_component(mask: Array) -> Array:
-    """The largest part of the mask (B, 1, H, W) bool, as `ops.contact.components` has it.
+    """Return the largest connected component of the mask (B, 1, H, W) bool, as `ops.contact.components`.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -220,8 +225,10 @@ def largest_component(mask: Array) -> Array:
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
-    """Signed density margin (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a
-    mask (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.contact.apparent_contact` has them.
+    """Return the apparent contact of a mask (B, 1, H, W) bool on cells of `side` px, as `ops.contact.apparent_contact`.
+
+    The results are float32: the signed density margin (B, 1, h, w), and (B, 7) covered pixels, area, centre, semi axes
+    and angle. `side` is one of CELLS.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or cells that are not among these.
@@ -248,7 +255,7 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
 
 
 def mask_moments(mask: Array) -> Array:
-    """Sums (B, 6) int64 over a mask (B, 1, H, W) bool, as `ops.contact.ellipse` has them.
+    """Return the moments (B, 6) int64, sums over a mask (B, 1, H, W) bool, as `ops.contact.ellipse`.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or more than WIDEST_MOMENTS columns.
@@ -260,7 +267,7 @@ def mask_moments(mask: Array) -> Array:
 
 
 def fit_ellipse(mask: Array) -> Array:
-    """(B, 6) float64, as `ops.contact.ellipse` has it: centre x and y, semi axes, major first, angle and area.
+    """Fit ellipses (B, 6) float64, as `ops.contact.ellipse`: centre x and y, semi axes, major first, angle and area.
 
     Raises:
         TypeError, ValueError: as `mask_moments`.

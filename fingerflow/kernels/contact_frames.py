@@ -1,4 +1,4 @@
-"""Kernels of the contact of a frame, one call each: NumPy arrays in and out."""
+"""Kernels of the contact of frames, one call for each task: NumPy arrays in and out."""
 
 from typing import Any, NamedTuple
 
@@ -20,10 +20,10 @@ class ContactOfFrames(NamedTuple):
 
     Attributes:
         real_contact_mask: (K, 1, H, W) bool, the micro-junctions.
-        density_margin: (K, 1, h, w) float32 of the apparent contact on cells, as `covered` takes it.
+        density_margin: (K, 1, h, w) float32 of the apparent contact on cells, an input of `covered`.
         numbers: (K, 7) float32: real and apparent area, px; centre x and y and semi axes, px, and angle, rad, NaN
             without contact.
-        gains: (K,) float32, brightness of the lamp, 1 that of the empty glass; NaN where no glass is seen.
+        gains: (K,) float32, illumination gain relative to the empty glass; NaN where no glass is visible.
     """
 
     real_contact_mask: Array
@@ -35,15 +35,15 @@ class ContactOfFrames(NamedTuple):
 def contact_of_frames(
     frames: Array, light: Array, black: Array, limits: Array, *, median_px: int, radius: int, cell: int
 ) -> ContactOfFrames:
-    """Return the contact of frames, as `graphs.ContactGraph` has it.
+    """Return the contact of frames, as `graphs.ContactGraph`.
 
-    The mask has the pixels below black + limit * gain * light; where no gain is known it counts as 1.
+    The mask contains the pixels below black + limit * gain * light; an unknown gain counts as 1.
 
     Args:
         frames: (K, 1, H, W) of FRAME_KINDS.
-        light, black: (1 or K, 1, H, W) float32, counts that the empty glass gives, 0 where it is not lit, and counts
-            without light.
-        limits: (K,) float32, share of the light below which a pixel touches; NaN is undercut nowhere.
+        light, black: (1 or K, 1, H, W) float32, counts of the empty glass above black, 0 where it is not lit, and
+            counts without light.
+        limits: (K,) float32, share of the light below which a pixel touches; with NaN no pixel does.
         median_px: odd side of the median, up to 15.
         radius: px of the apparent contact.
         cell: px, side of its cells, one of CELLS.
@@ -88,12 +88,12 @@ def contact_threshold(
 ) -> Array:
     """Return the relative intensity loss (K,) float32 half-way between ridges and the skin beside them.
 
-    As `ops.contact.contact_threshold` has it; NaN without contact.
+    It is computed as by `ops.contact.contact_threshold`, and NaN without contact.
 
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.
-        gains: (K,) float32 of the light, NaN or None for 1.
-        stride_px: of how many pixels, across and down, one is counted.
+        gains: (K,) float32, illumination gains; NaN or None for 1.
+        stride_px: step in x and y by which pixels are counted.
 
     Raises:
         TypeError, ValueError: another dtype, shapes or sizes that do not fit.
@@ -119,9 +119,9 @@ def contact_threshold(
 
 
 def covered(density_margin: Array, points: Array, transform: Array, cell: int) -> Array:
-    """Return whether apparent contacts cover points: (K, N) bool, as `ops.contact.cells.covered` has it.
+    """Return whether apparent contacts cover points, (K, N) bool, as `ops.contact.cells.covered`.
 
-    A point within rounding of the border (a margin of 0) may count here and not there.
+    A point at the border (a margin of 0), to rounding, may be covered here and not there.
 
     Args:
         density_margin: (K, 1, h, w) float32 of `contact_of_frames`, on cells of `cell` px.

@@ -1,4 +1,4 @@
-"""The library of compiled kernels: whether it serves, how its functions are called, what becomes of what they throw."""
+"""Library of compiled kernels: whether it can be used, calls of its functions, and their exceptions."""
 
 import ctypes
 import functools
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Here(threading.local):
-    """What holds for this thread."""
+    """State of this thread."""
 
     shapes_only = False
 
@@ -34,13 +34,13 @@ _here = _Here()
 
 
 class Entry:
-    """A function of interface.h: arguments go by their names there, None for no address.
+    """Callable of a function of interface.h, with arguments by their names there; None stands for a null address.
 
-    NumPy arrays and tensors of torch are given for addresses: nothing is asked of how their numbers lie in memory.
+    Addresses are given as NumPy arrays or torch tensors, whose memory layout is not checked.
     """
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
-        """Finds `name` in the library."""
+        """Look up `name` in the library."""
         self._name, self._names = name, tuple(field.name for field in function.fields)
         self._in_order = operator.itemgetter(*self._names)
         self._addresses = tuple(place for place, field in enumerate(function.fields) if field.code == "P")
@@ -50,12 +50,13 @@ class Entry:
         self._message = library.fingerflow_last_message
 
     def __call__(self, **given: Shaped | float | None) -> None:
-        """Calls it, without the lock of Python.
+        """Call the function, without the global interpreter lock.
 
         Raises:
-            TypeError: arguments of other names than the function has.
-            MemoryError: there is no memory for what it works on.
-            RuntimeError: anything else that it throws, with its name.
+            TypeError: the number of arguments is wrong.
+            KeyError: an argument is missing under its name.
+            MemoryError: the kernel cannot allocate its memory.
+            RuntimeError: any other exception of the kernel, with its name.
         """
         if _here.shapes_only:
             return
@@ -66,7 +67,7 @@ class Entry:
             value = values[place]
             if value is None:
                 values[place] = 0
-            else:  # what `address` does, for whose calls there is no time
+            else:  # as `address` does, without the cost of its call
                 values[place] = address_of_numpy(value) if isinstance(value, np.ndarray) else value.data_ptr()
         outcome = self._enter(self._pack(*values))
         if outcome:
@@ -77,10 +78,10 @@ class Entry:
 
 
 def entry(name: str) -> Entry:
-    """The function of this name, without its prefix.
+    """Return the kernel of this name, which has no prefix.
 
     Raises:
-        RuntimeError: the compiled kernels do not serve here.
+        RuntimeError: the compiled kernels cannot be used.
     """
     library = _library()
     if library is None:
@@ -90,7 +91,7 @@ def entry(name: str) -> Entry:
 
 @contextmanager
 def shapes_only() -> Iterator[None]:
-    """Within it, this thread's functions of kernels check and make their results, but compute nothing: for tracing."""
+    """Make the kernels of this thread check arguments and allocate results but compute nothing, for tracing."""
     before, _here.shapes_only = _here.shapes_only, True
     try:
         yield
@@ -99,45 +100,45 @@ def shapes_only() -> Iterator[None]:
 
 
 def values_are_known() -> bool:
-    """Whether checks may look into arrays: not within `shapes_only`."""
+    """Return whether checks may read the values of arrays, which they may not within `shapes_only`."""
     return not _here.shapes_only
 
 
 def limit_instruction_set(most: int) -> int:
-    """For tests: use no wider set than 0 baseline, 1 AVX2, 2 AVX-512, -1 what there is; returns the one taken."""
+    """Limit the instruction set to 0 baseline, 1 AVX2, 2 AVX-512, or -1 for no limit; return the one taken (tests)."""
     taken = np.empty(1, np.int32)
     entry("limit_instruction_set")(most=most, taken=taken)
     return int(taken[0])
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """For tests: pieces of work fail from now on, as kernels/parallel.h numbers faults and threads; 0 ends it."""
+    """Make pieces of work fail from now on (tests), with numbers as in kernels/parallel.h; a fault of 0 ends it."""
     entry("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
 def is_present() -> bool:
-    """Whether the library is here, is that of these sources, and is not turned off."""
+    """Return whether the library is installed, was built from these sources, and is not turned off."""
     return _library() is not None
 
 
 def threads() -> int:
-    """Return how many threads the kernels use: as many as torch where this process has loaded it.
+    """Return the number of threads of the kernels: that of torch if this process has loaded it.
 
-    Else what `set_threads` was given, `OMP_NUM_THREADS` says, or the system lends.
+    Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
     of_torch = getattr(sys.modules.get("torch"), "get_num_threads", None)
     return _own_threads() if of_torch is None else of_torch()
 
 
 def set_threads(count: int) -> None:
-    """Set how many threads the kernels use, and torch with them where this process has loaded it."""
+    """Set the number of threads of the kernels, and of torch if this process has loaded it."""
     global _threads
     _threads = count
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(count)
 
 
-_threads = 0  # as many as there are
+_threads = 0  # 0: not set
 
 
 def _own_threads() -> int:
@@ -153,7 +154,10 @@ def _lent_threads() -> int:
 
 
 def _path() -> Path | None:
-    """The library beside this folder: it is no module, so that one built for another version of Python does as well."""
+    """Return the path of the library beside this folder, preferably that of this version of Python.
+
+    The library is no Python module, so one built for another version works as well.
+    """
     folder = HEADER.parent.parent
     own = (folder / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES)
     others = (path for path in sorted(folder.glob("_kernels.*")) if path.suffix in (".so", ".pyd"))

@@ -1,8 +1,6 @@
-"""Kernels of tracked points: seeded, searched there and back, judged by their neighbours.
+"""Kernels of tracked points: seeding, search forward and backward, outliers. NumPy arrays in and out.
 
-NumPy arrays in and out.
-
-Arrays are checked, and copied only where their numbers do not follow one another in memory.
+Arrays are checked, and copied only if they are not contiguous.
 """
 
 import math
@@ -31,7 +29,7 @@ __all__ = [
 
 Array = NDArray[Any]
 
-_LANES = 16  # points that the compiled kernel judges at a time
+_LANES = 16  # points in the SIMD lanes of the compiled kernel
 _ROWS = 32  # points whose distances to all others are in memory at a time
 
 
@@ -58,7 +56,7 @@ class OutlierFlags(NamedTuple):
 
 
 def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
-    """Return the points to judge each point by, once for all frames of the same points.
+    """Return the neighbours of each point, once for all frames of the same points.
 
     Args:
         positions: (N, 2) reference positions, float32, NaN where there is none. N is 2 or more.
@@ -81,7 +79,7 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
         near = distance <= np.float32((gauge_length / 2) ** 2)  # NaN is nowhere near
         near[own - first, own] = False
         distance[~near] = np.inf
-        # By distance, then by number: the bits of floats that are not negative have their order.
+        # By distance, then by number: the bit patterns of non-negative floats have the order of the floats.
         order = (distance.view(np.int32).astype(np.int64) << 32) + np.arange(count)
         nearest = np.sort(np.partition(order, most - 1, axis=1)[:, :most], axis=1) & 0xFFFFFFFF
         counts = np.take_along_axis(near, nearest, 1)
@@ -94,7 +92,7 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
 def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std: Array) -> OutlierFlags:
     """Find points whose displacement or uncertainty stands out among their neighbours, as `ops.find_outliers` does.
 
-    A point that stands on a limit, to the rounding of float32, may be judged otherwise than there.
+    A point at a limit, to the rounding of float32, may have another result than there.
 
     Args:
         neighbours: from :func:`find_neighbours`, for all frames.
@@ -150,7 +148,7 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search windows around guesses, and back from there, as `ops.tracking.search.search_and_return` does.
+    """Search for windows around guesses, and backward from there, as `ops.tracking.search.search_and_return` does.
 
     Args:
         key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.
@@ -162,10 +160,11 @@ def search_and_return(
         image_index: (n,) int64, the image of each point; the first one by default.
 
     Returns:
-        Positions (n, 2), `guess` where it is not finite or nothing correlates; and whether (n,) the way back returns.
+        Positions (n, 2), `guess` where it is not finite or nothing correlates; and whether (n,) the backward search
+        returns to `start`.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, a search wider than WIDEST_SEARCH.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, a search wider than WIDEST_SEARCH.
     """
     check_frames(key)
     check_frames(current)
@@ -217,14 +216,14 @@ class DetectedPoints(NamedTuple):
 
 
 def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: float, window: int) -> DetectedPoints:
-    """Choose points worth tracking, as `graphs.DetectGraph` does, which chooses among equals otherwise.
+    """Detect points worth tracking, as `graphs.DetectGraph` does, but for the choice among equal responses.
 
     Args:
         frame: (1, 1, H, W) of FRAME_KINDS, at least 7 x 7 px.
-        mask: (H, W) bool, where they may lie.
-        count: of points, at most; n is the number of pixels where these are fewer.
-        min_distance_px: side of the square in which a point is the strongest at least.
-        window: px, side of the window with which the points are tracked: it stays in the frame.
+        mask: (H, W) bool, where points may lie.
+        count: largest number of points; n is `count`, or the number of pixels if this is smaller.
+        min_distance_px: side of the smallest square in which a point must be the strongest.
+        window: px, side of the tracking window, which stays inside the frame.
 
     Raises:
         TypeError, ValueError: another dtype or shape, fewer than 1 point.

@@ -1,4 +1,4 @@
-"""Kernels of tracking: templates prepared and found, windows searched, corners, noise."""
+"""Kernels of tracking: preparation and tracking of templates, search for windows, corners, noise."""
 
 import math
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 LARGEST_CORNER_WINDOW = 15
-WIDEST_SEARCH = 1 << 15  # px, so that places in it are counted by 32 bits
+WIDEST_SEARCH = 1 << 15  # px, so that positions in it can be counted with 32 bits
 
 
 def prepare_templates(
@@ -47,10 +47,10 @@ def prepare_templates(
     gain_offset: bool,
     rounding: float,
 ) -> tuple[Array, Array, Array]:
-    """Start, samples and numbers of templates, as `ops.tracking.templates.Templates` has them.
+    """Return start, samples and numbers of templates, as in `ops.tracking.templates.Templates`.
 
-    An image (B, 1, H, W) of FRAME_KINDS, H and W at least 4; float32 points (B, N, 2), inverse_warp (B, N, 2, 2) and
-    variance (B,).
+    The image is (B, 1, H, W) of FRAME_KINDS, H and W at least 4. `points` (B, N, 2), `inverse_warp` (B, N, 2, 2) and
+    `variance` (B,) are float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -86,8 +86,9 @@ def prepare_templates(
 
 
 class FollowedPoints(NamedTuple, Generic[Array]):
-    """Of K frames, as `ops.tracking.templates.Found` has them, (K, B, N, ...); place and speed (B, N, 2) after the last
-    one.
+    """Points tracked through K frames: (K, B, N, ...) as in `ops.tracking.templates.Found`.
+
+    `place` and `speed` (B, N, 2) are those after the last frame.
     """
 
     points: Array
@@ -110,10 +111,10 @@ def find_templates(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FollowedPoints[Array]:
-    """Templates (start, samples, numbers) of B x N points followed through frames.
+    """Track templates (start, samples, numbers) of B x N points through frames.
 
-    Frames (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b; place (B, N, 2) expected in the first frame
-    less speed (B, N, 2) px a frame; variance (K B,) float32.
+    Frames are (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b. The prediction for the first frame is
+    `place` + `speed`, both (B, N, 2), px and px a frame. `variance` (K B,) is float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -167,7 +168,7 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Of pairs of images, as `ops.tracking.templates.Found` and `Templates` have them, (B, N, ...)."""
+    """Points found in pairs of images: (B, N, ...) as in `ops.tracking.templates.Found` and `Templates`."""
 
     points: Array
     error: Array
@@ -191,8 +192,10 @@ def find_pairs(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FoundPairs[Array]:
-    """`prepare_templates` of points in previous and `find_templates` in current, near place (B, N, 2), in one call:
-    no sample is written to memory. Images (B, 1, H, W) of one of FRAME_KINDS; variance (B,) of both.
+    """Prepare templates of points in `previous` and find them in `current` near `place` (B, N, 2), in one call.
+
+    This is `prepare_templates` and `find_templates` without writing samples to memory. Images are (B, 1, H, W) of one
+    of FRAME_KINDS; `variance` (B,) is that of both.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -248,7 +251,7 @@ def _check_window(window: int, frames: Array) -> None:
 
 
 def halve(frames: Array) -> Array:
-    """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.tracking.search` has them, of frames of FRAME_KINDS.
+    """Return means of 2 x 2 px (B, 1, H // 2, W // 2) float32 of frames of FRAME_KINDS, as `ops.tracking.search`.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or frames below 3 x 3 px.
@@ -261,7 +264,9 @@ def halve(frames: Array) -> Array:
 
 
 def mean_response(frames: Array) -> Array:
-    """Mean absolute response (B,) float64 of the mask of `ops.filters.noise`, of frames of FRAME_KINDS, at least 3 x 3.
+    """Return the mean absolute response (B,) float64 to the mask of `ops.filters.noise`.
+
+    Frames are of FRAME_KINDS, at least 3 x 3 px.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or smaller frames.
@@ -275,7 +280,7 @@ def mean_response(frames: Array) -> Array:
 
 
 def spline_coefficients(frames: Array) -> Array:
-    """(B, 1, H, W) float32, as `ops.filters.spline` has them, bit for bit, of frames of FRAME_KINDS.
+    """Return spline coefficients (B, 1, H, W) float32 of frames of FRAME_KINDS, bit for bit as `ops.filters.spline`.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -303,12 +308,14 @@ def _kernel_frames(frames: Array) -> Array:
 def search_windows(
     templates: Array, images: Array, image_index: Array, points: Array, guess: Array, size: int, reach: int
 ) -> Array:
-    """Places (P, 2) as `ops.tracking.search` has them, from images (B, 1, h, w) of half resolution, all float32.
+    """Return the positions (P, 2) that `ops.tracking.search` finds in images (B, 1, h, w) of half resolution.
 
-    Image_index (P,) int64, points and guess (P, 2); templates `size` wide, found up to `reach` px away.
+    All are float32 but `image_index` (P,) int64. `points` and `guess` are (P, 2). Templates are `size` px wide and
+    searched for up to `reach` px away.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, an even size or a negative reach.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, an even size, a negative reach, or a search wider than
+            WIDEST_SEARCH.
     """
     count = points.shape[0]
     check_frames(templates, ("float32",))
@@ -340,14 +347,13 @@ def search_windows(
 
 
 def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
-    """Windows (N, m) as `ops.tracking.window_correlation` has them, to the rounding of their places, of images (n, 1,
-    H, W) of FRAME_KINDS, at least 4 x 4.
+    """Sample windows (N, m) as `ops.tracking.window_correlation` does, to the rounding of their positions.
 
-    Image_index (N,) int64; places (N, 2) and warp (N, 2, 2) float32.
+    Images are (n, 1, H, W) of FRAME_KINDS, at least 4 x 4 px; `image_index` (N,) is int64, `places` (N, 2) and `warp`
+    (N, 2, 2) are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, smaller images, a window or a step
-            below 1.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1.
     """
     check_frames(images)
     count, reach = places.shape[0], window // 2
@@ -393,7 +399,9 @@ def corners(
     window: int,
     border: int,
 ) -> CornerPlaces[Array]:
-    """Corners of uint8 frames (B, 1, H, W), as `ops.tracking.corners` has them; responses exceed `floors` (B,) float32.
+    """Detect corners in uint8 frames (B, 1, H, W), as `ops.tracking.corners` does.
+
+    Responses exceed `floors` (B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.

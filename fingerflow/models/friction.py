@@ -29,8 +29,8 @@ def dahl_step(
     """Return the exact friction force (N) after a slide in one direction at a constant limit; all arguments broadcast.
 
     If the limit changed since the step before, the force is first clamped to it, so |F| <= F_c always. An infinite
-    stiffness gives Coulomb friction: the limit after any slide, the previous force without one. Differentiable where
-    the model is: not where the force reaches the limit (n < 1) or the direction changes.
+    stiffness gives Coulomb friction: the limit after any slide, the previous force without one. The force is
+    differentiable except where it reaches the limit (n < 1) or the direction changes.
 
     Args:
         force: F before, N, along +x where it resists a motion along +x.

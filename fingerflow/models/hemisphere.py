@@ -21,7 +21,7 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
     """Return the compression (L - a) / L, dimensionless, in the broadcast shape; exact to a few roundings at any depth.
 
     A frictionless contact releases this compression, a sticking one retains it: about 10 % at 3 mm and a radius of
-    10 mm. Differentiable, also at delta = 0, where it is delta / (3 R).
+    10 mm. It is differentiable, also at delta = 0, where it is delta / (3 R).
 
     Args:
         delta: normal indentation, 0 to the radius, in the unit of the radius.

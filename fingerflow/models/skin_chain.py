@@ -99,15 +99,15 @@ def press(
 ) -> PressedChain:
     """Apply a load at once and hold it until all forces balance, to 2e-7 of the load.
 
-    With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. Differentiable in
-    friction, stiffnesses and sigma_0 by the adjoint of each step taken: exact for fixed step lengths.
+    With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. The result is
+    differentiable in friction, stiffnesses and sigma_0 by the adjoint of each step taken: exact for fixed step lengths.
 
     Args:
         friction: coefficient mu >= 0, a number or a tensor for many presses. Or a function of the time in s and the
             positions x (..., N) in m that returns each element's coefficient; here for the undeformed chain at time 0.
         parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
-        load_n: force that presses the bone down, N; with ``indentation_m`` that motion of the bone instead.
-        tangential_n: force that pulls the bone along +x, N; with ``slide_m`` that motion instead.
+        load_n: force that presses the bone down, N; ``indentation_m`` prescribes that motion of the bone instead.
+        tangential_n: force that pulls the bone along +x, N; ``slide_m`` prescribes that motion instead.
         elements: 4 or more; the parameters refer to 501 elements and are converted.
         tolerance_m: position error in one step.
         longest_s: time limit. A bone pulled beyond the friction limit slides on: the press then ends without

@@ -29,7 +29,8 @@ class SinceOnset:
     def mean_within(self, share: float) -> Tensor:
         """Return the area-weighted mean divergence (T, ...) within that share of the contact radius; NaN if no contact.
 
-        The mean is the flow out of the disc, so unlike a median it depends little on the edge of the contact.
+        By the divergence theorem it measures the flow out of the disc. Unlike a median it depends little on the edge of
+        the contact.
         """
         edge = share * (self.contact_area / torch.pi).sqrt()[..., None]
         ring = torch.where(self.radius < edge, self.radius.clamp_min(0.0), 0.0)

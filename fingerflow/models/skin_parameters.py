@@ -78,8 +78,9 @@ def named(parameters: "str | SkinParameters") -> SkinParameters:
     for field in fields(parameters):
         value = torch.as_tensor(getattr(parameters, field.name))
         poisson = field.name == "poisson_ratio"
-        allowed = (value > -1) & (value <= 0.5) if poisson else (value >= 0 if "exponent" in field.name else value > 0)
+        exponent = "exponent" in field.name
+        allowed = (value > -1) & (value <= 0.5) if poisson else (value >= 0 if exponent else value > 0)
         if not bool(allowed.all()):
-            limits = "above -1 and at most 0.5" if poisson else "positive"
+            limits = "above -1 and at most 0.5" if poisson else "0 or more" if exponent else "positive"
             raise ValueError(f"{field.name} is {value[~allowed].flatten()[0].item():g}: it must be {limits}")
     return parameters

@@ -28,8 +28,8 @@ class Quantity:
     """Quantity of a map: title, unit, variables that it needs, and a function from a frame to its values.
 
     Attributes:
-    of_triangles: values are those of triangles, else of points.
-    signed: the colour scale is symmetric about 0.
+        of_triangles: values are those of triangles, else of points.
+        signed: the colour scale is symmetric about 0.
     """
 
     title: str

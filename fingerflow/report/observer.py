@@ -81,7 +81,7 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
 def draw_psychometric(
     axes: Axes, curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, PsychometricFit]], stimulus: str
 ) -> Axes:
-    """Draw figures S12 B and C: share of answers by stimulus, and the fitted curve and threshold interval of each group.
+    """Draw figures S12 B and C: share of answers by stimulus, with fitted curve and threshold interval, by group.
 
     Args:
         curves: (stimulus, answers, trials, fit) by name of the group, as passed to `fit_psychometric`.

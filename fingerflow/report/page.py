@@ -1,4 +1,4 @@
-"""One HTML page with everything in it."""
+"""HTML report of a result: one page that contains its figures, numbers and settings."""
 
 import base64
 import json
@@ -36,7 +36,7 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure in the page: its name there, its SVG, and its curves as numbers, None where it has none."""
+    """Figure of the page: unique name, SVG, and its curves as numbers, or None."""
 
     name: str
     svg: str
@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Figures that are seen together, and how they are laid out: a class of page.css."""
+    """Figures shown together, and their layout: a class of page.css."""
 
     label: str
     figures: list[Drawn]
@@ -54,7 +54,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """A title and its panels, of which one is seen at a time; ``first`` is seen first."""
+    """Section of the page: a title and its panels, shown one at a time, beginning with index ``first``."""
 
     title: str
     panels: list[Panel]
@@ -64,7 +64,7 @@ class Section:
 
 @dataclass
 class _Figures:
-    """Draws the figures of a page: each gets a name of its own."""
+    """Figures of a page, each with a unique name."""
 
     result: xr.Dataset
     names: set[str] = field(default_factory=set)
@@ -74,7 +74,7 @@ class _Figures:
         self.names.add(name)
         figure = axes.get_figure(root=True)
         assert figure is not None
-        # First: the layout is settled by it.
+        # Before curves_of, as it settles the layout.
         svg = inline_svg(figure, name, label)
         return Drawn(name, svg, curves_of(axes, self.result.sizes["frame"]))
 
@@ -82,7 +82,10 @@ class _Figures:
         return Drawn(name, inline_svg(figure, name, label))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Against what varies: the normal force where it only rises or falls, and time; a loop of the force second."""
+        """Return a section of curves against the default abscissa, or None if no variable is known.
+
+        If the normal force varies, a second panel is against the other of force and time.
+        """
         there = [(one, variable) for one, variable in given if _known(self.result, variable)]
         if not there:
             return None
@@ -110,16 +113,22 @@ def write_report(
     video: bool = True,
     overwrite: bool = False,
 ) -> Path:
-    """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
+    """Write report.html and overlay.mp4 into a folder and return the path of the page.
 
-    Without a scene, as of a stream, whose frames are gone, there is neither picture nor video.
+    Sections without variables in the result are left out.
 
-    ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
-    ``video``: write overlay.mp4 too, which takes longer than all the rest.
-    ``chain``: predictions of the skin chain, drawn beside what was measured.
+    Args:
+        result: result to report.
+        scene: scene of the result; None leaves out pictures and video, as for a stream whose frames are gone.
+        folder: folder to write into.
+        comparison: rows with quantity, unit, measured, truth and error, of a synthetic recording.
+        chain: predictions of the skin chain, drawn beside the measurement.
+        video: write overlay.mp4 too, which takes longer than all the rest.
+        overwrite: replace files that no report has written.
 
-    Raises FingerflowError, before anything is computed, where a file of these names is an input, or without
-    ``overwrite`` one that no report has written.
+    Raises:
+        FingerflowError: before anything is computed, if an output is an input of the scene, or without ``overwrite``
+            a file that no report has written.
     """
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
@@ -161,7 +170,7 @@ def write_report(
             settings=settings_tables(result.attrs["settings"]),
             stages=[(name, value, 1000 * value / result.sizes["frame"]) for name, value in seconds.items()],
             sizes=dict(result.sizes),
-            # In a script element nothing is escaped; only "<" could end it.
+            # A script element has no escapes; only "<" could end it.
             curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
         )
     )
@@ -231,7 +240,7 @@ def _sections(
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),
     ]
-    # A soft sensor's markers are found in each frame anew: there is no way back to be tracked.
+    # A soft sensor's markers are found independently in each frame: it has no forward-backward distance.
     shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         figures = [make.drawn(on, name, on.get_title()) for one, name in shown for on in (one(result),)]
@@ -243,7 +252,7 @@ def _sections(
 
 
 def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
-    """Maps of the telling frames, each quantity with the same colours in all."""
+    """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
     if not there or not places:
@@ -274,7 +283,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Whether a map has a value in any of these frames."""
+    """Return whether a map has a value in any of these frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -288,7 +297,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """The picture that `fingerflow calibrate` wrote beside its file."""
+    """Return the picture that `fingerflow calibrate` wrote beside its file, in base64, or None."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

@@ -1,4 +1,4 @@
-"""The figures of Terekhov & Hayward 2011, each drawn into given axes: skin motion, d^2 against T/N and against time."""
+"""Figures of Terekhov & Hayward 2011, drawn into given axes: skin motion, d^2 against T/N and against time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,11 +28,12 @@ def draw_motion(
     contact_outline: ArrayLike | None = None,
     stuck_outline: ArrayLike | None = None,
 ) -> Axes:
-    """Figure 1: arrows of the skin's displacement, as long as it is, with the outlines of contact and stuck part.
+    """Draw figure 1: the skin's displacement as arrows at scale 1, with the outlines of contact and stick region.
 
     Args:
-        points: (P, 2) x and y of the arrows' feet, mm, y down the frame; displacement (P, 2) mm. NaN draws no arrow.
-        contact_outline, stuck_outline: (K, 2) mm, closed by the drawing.
+        points: (P, 2) mm, positions of the arrows' tails, y down.
+            displacement: (P, 2) mm; NaN draws no arrow.
+            contact_outline, stuck_outline: (K, 2) mm, drawn closed.
     """
     feet, arrows = np.asarray(points, dtype=float), np.asarray(displacement, dtype=float)
     shown = np.isfinite(feet).all(1) & np.isfinite(arrows).all(1)
@@ -53,7 +54,7 @@ def draw_motion(
 
 
 def draw_models(axes: Axes, mu_s: float, mu_k: float) -> Axes:
-    """Figure 2 a: the model, the same with equal coefficients, and Coulomb's, up to one full slip at the same load."""
+    """Draw figure 2 a: the model, the model with equal coefficients, and Coulomb's, for the same load at full slip."""
     largest = float(critical_load_ratio(mu_s, mu_k))
     load = np.linspace(0, largest, 400)
     axes.plot([0, largest, largest], [1, 1, 0], "--", color=GREY, label="Coulomb")
@@ -70,7 +71,7 @@ def draw_trial(
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
 ) -> Axes:
-    """Figures 2 b and c: d^2 against T/N, the corridor of 5 % about T/N at the loss, the collapse, the fit."""
+    """Draw figures 2 b and c: d^2 against T/N, the 5 % corridor about T/N at the loss, the collapse, the fit."""
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
     axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
     if np.isfinite(verdict.loss_load_ratio):
@@ -88,9 +89,9 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Figures 2 b and c for a set: d^2 against T/N over its value at the loss, coloured by verdict, with their counts.
+    """Draw figures 2 b and c for a set: d^2 against T/N relative to the loss, coloured by verdict, with counts.
 
-    Trials without a complete loss have no such value; they are counted, not drawn.
+    Trials without a complete loss of adhesion are counted, not drawn.
     """
     colours = {"vanishes abruptly": RED, "diminishes": INK, "inconclusive": GREY}
     axes.axvspan(1 - CORRIDOR, 1 + CORRIDOR, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
@@ -107,7 +108,7 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
 
 
 def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
-    """Figure 2 d: d^2 against time (s), its collapse thick, the loss of adhesion marked."""
+    """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked."""
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
     axes.plot(when, area, color=INK, linewidth=1)
     if verdict.outcome == "vanishes abruptly":
@@ -125,7 +126,7 @@ def _named(mu_s: float, mu_k: float) -> str:
 
 
 def _draw_curve(axes: Axes, mu_s: float, mu_k: float, name: str, colour: str) -> None:
-    # By the area, not the load: near the critical load the area changes too fast for equal steps.
+    # Quadratic steps of load: near the critical load the area changes too fast for equal ones.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
     load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)

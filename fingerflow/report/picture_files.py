@@ -1,4 +1,4 @@
-"""Figures as PNG files that say who drew them, by which a later run knows what it may replace."""
+"""Figures as PNG files with a mark of fingerflow, by which a later run knows which files it may replace."""
 
 from pathlib import Path
 
@@ -10,5 +10,5 @@ _DPI = 110
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Writes a PNG, whole or not at all; raises FingerflowError where it cannot be written."""
+    """Write a PNG atomically; raise FingerflowError if it cannot be written."""
     write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=_DPI, metadata={"Comment": MARK}))

@@ -1,4 +1,4 @@
-"""The displacement of the simulated press of `fingerflow demo`, exactly, for figures S6 and S13."""
+"""True displacement of the simulated press of `fingerflow demo`, for figures S6 and S13."""
 
 from dataclasses import dataclass
 
@@ -11,25 +11,26 @@ from fingerflow.plot.axes_style import finished
 from fingerflow.synthetic import Press, SyntheticScene
 
 Values = NDArray[np.float64]
-_SPACING_MM = 0.6  # of the points
-_FRAMES = 24  # in which the median curl is asked for
+_SPACING_MM = 0.6  # between points
+_FRAMES = 24  # frames with a median curl
 
 
 @dataclass(frozen=True)
 class PressField:
-    """P points in the contact of the last frame, and F frames before it; NaN where the truth has none."""
+    """True field at P points in the contact of the last frame, and medians of F frames; NaN where there is none."""
 
-    reference: Values  # (P, 2) mm, where the contact reached each point
-    displacement: Values  # (P, 2) mm since then
+    reference: Values  # (P, 2) mm, reference positions
+    displacement: Values  # (P, 2) mm since onset of contact
     curl: Values  # (P,) rad
     force: Values  # (F,) N
     median_curl: Values  # (F,) rad, over the area of the gross contact
 
 
 def press_field(scene: SyntheticScene | None = None) -> PressField:
-    """From the truth of a scene that ends in contact, by default the press of `fingerflow demo`.
+    """Return the true field of a scene that ends in contact, by default the press of `fingerflow demo`.
 
-    Raises ValueError for a scene whose last frame has no contact.
+    Raises:
+        ValueError: the last frame of the scene has no contact.
     """
     scene = Press() if scene is None else scene
     truth, last = scene.truth, len(scene.times) - 1
@@ -56,7 +57,7 @@ def press_field(scene: SyntheticScene | None = None) -> PressField:
 
 
 def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
-    """Figure S13 A: the curl (µm/mm) at each point of the contact."""
+    """Draw figure S13 A: the curl (µm/mm) at each point of the contact."""
     axes: Axes = part.subplots()
     values = 1e3 * field.curl
     largest = float(np.nanmax(np.abs(values)))

@@ -1,4 +1,4 @@
-"""The settings of a result as tables that a person reads: no None, no brackets, units beside the numbers."""
+"""Settings of a result as readable tables: without None and brackets, with units."""
 
 import json
 from collections.abc import Mapping
@@ -8,15 +8,15 @@ import numpy as np
 
 _UNITS = {"mm": "mm", "px": "px", "mpa": "MPa", "s": "s"}
 _OF_KEYS = {"frame_rate": "Hz", "sample_rate": "Hz"}
-_CHOICES = {"threshold", "strain", "direction", "template", "points_from", "criterion"}  # whose values are words
+_CHOICES = {"threshold", "strain", "direction", "template", "points_from", "criterion"}  # keys whose values are words
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
-    """Rows (what, value) by table, of the attribute `settings` of a result; what was not given is left out."""
+    """Return rows (name, value) by table from the attribute `settings` of a result; unset keys are left out."""
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:
-            values = {"camera": values["camera"]}  # its other names are for stages
+            values = {"camera": values["camera"]}  # its other names are aliases for stages
         rows = _rows(values, "") if isinstance(values, Mapping) else []
         if rows:
             tables[name.replace("_", " ")] = rows
@@ -24,7 +24,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
 
 
 def transform_rows(stored: str) -> list[tuple[str, str]]:
-    """What the map between the views does, of the attribute `topography_to_contact`; none where it is none."""
+    """Return rows on the transform in the attribute `topography_to_contact`; none for the identity."""
     matrix = np.array(json.loads(stored), dtype=np.float64)
     if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
         return []
@@ -42,7 +42,7 @@ def transform_rows(stored: str) -> list[tuple[str, str]]:
 def _rows(values: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for name, value in values.items():
-        if value is None or name == "topography_to_contact":  # told in words beside the scale
+        if value is None or name == "topography_to_contact":  # shown by `transform_rows`
             continue
         if isinstance(value, Mapping):
             sides = ("rows", "columns")

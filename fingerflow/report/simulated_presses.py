@@ -1,7 +1,7 @@
-"""Presses of the skin chain at several frictions, and what they show of figures S5, S8 and S9 of Willemet et al. 2021.
+"""Presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
 
-The chain is a section through a finger of revolution: its strains are radial and hoop, and maps are turned about the
-axis. They are counted from the undeformed finger, where a recording counts each point's from its onset of contact.
+The chain is a section through an axisymmetric finger: its strains are radial and hoop, and maps are rotated about
+the axis. Strains are relative to the undeformed finger, those of a recording to each point's onset of contact.
 """
 
 from collections.abc import Sequence
@@ -22,18 +22,18 @@ from fingerflow.plot.axes_style import finished
 
 Values = NDArray[np.float64]
 FRICTIONS = (0.02, 0.05, 0.2, 1.0)
-LOW, HIGH = 0.2, 1.0  # what the paper calls a low and a high friction
-DEPTH_MM = 2.0  # over which the paper takes the strain as uniform (equation 3)
+LOW, HIGH = 0.2, 1.0  # low and high friction of the paper
+DEPTH_MM = 2.0  # depth over which the paper assumes uniform strain (equation 3)
 _TIMES = 101
-_ELEMENTS = 1001  # twice the paper's: contact grows by whole elements, and rates show it
-_SLOPE_S = 0.12  # over which a rate is a straight line's slope, some elements' worth of growth
+_ELEMENTS = 1001  # twice the paper's: contact grows by whole elements, which shows in rates
+_SLOPE_S = 0.12  # interval of the line fit of a rate, in which contact grows by some elements
 _MAP_CELLS = 241
 _RADII = 201
 
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """K presses of one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
+    """Presses at K frictions with one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -41,11 +41,11 @@ class SimulatedPresses:
     chain: PressedChain
 
     def index(self, friction: float) -> int:
-        """Which of the presses has a friction."""
+        """Return the index of the press with a friction."""
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Strains from the middle of each contact to its edge, which moves on between elements."""
+        """Return strains from the middle of each contact to its edge, interpolated between elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -59,7 +59,7 @@ class SimulatedPresses:
         return Profile(radius, radial, hoop)
 
     def energy(self) -> Values:
-        """Total strain energy (T, K) in mJ: 2 mm deep, over the disc of the contact (equation 3), 0 without one."""
+        """Return the strain energy (T, K) in mJ over the contact disc, 2 mm deep (equation 3); 0 without contact."""
         found = self.profile()
         rings = np.nan_to_num(_density(found.radial, found.hoop)) * 2 * np.pi * found.radius
         return np.asarray(DEPTH_MM * np.trapezoid(rings, found.radius, axis=-1))
@@ -67,7 +67,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R) without unit at R radii (T, K, R) in mm, 0 to the edge; NaN where nothing touches."""
+    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from 0 to the edge; NaN without contact."""
 
     radius: Values
     radial: Values  # du/dx
@@ -81,7 +81,7 @@ def simulate_presses(
     times: int = _TIMES,
     elements: int = _ELEMENTS,
 ) -> SimulatedPresses:
-    """Press the lab's chain with a force that rises evenly to ``load_n`` at each friction."""
+    """Press the chain of the default parameters with a force that rises linearly to ``load_n``, at each friction."""
     time = torch.linspace(0, duration_s, times, dtype=torch.float64)
     force = load_n * time / duration_s
     chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, elements=elements)
@@ -89,7 +89,7 @@ def simulate_presses(
 
 
 def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> NDArray[Any]:
-    """Figures S8 B and D: exx, eyy and exy (%) over the contact at full load, a row a friction, in one scale."""
+    """Draw figures S8 B and D: exx, eyy and exy (%) over the contact at full load, one row a friction, in one scale."""
     maps = [_turned(presses, friction) for friction in frictions]
     largest = max(100 * float(np.nanmax(np.abs(strain))) for _, strain in maps)
     axes: NDArray[Any] = part.subplots(len(frictions), 3, sharex=True, sharey=True, squeeze=False)
@@ -107,7 +107,7 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequ
 
 
 def draw_energy_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> Sequence[Axes]:
-    """Figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one scale of colours."""
+    """Draw figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one colour scale."""
     axes: Sequence[Axes] = part.subplots(1, len(frictions), sharey=True)
     maps = [(_turned(presses, friction), friction) for friction in frictions]
     densities = [strain_energy_density(torch.from_numpy(strain)).numpy() for (_, strain), _ in maps]
@@ -121,7 +121,7 @@ def draw_energy_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequ
 
 
 def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = False) -> Sequence[Axes]:
-    """Figure S8 E, or F with ``rate``: medians along the contact of both strains (%, %/s) against the normal force."""
+    """Draw figure S8 E, or F with ``rate``: medians of both strains along the contact (%, %/s) against normal force."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharex=True)
     found = presses.profile()
     for one, strain, name in zip(axes, (found.radial, found.hoop), ("radial", "hoop"), strict=True):
@@ -134,7 +134,7 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
 
 
 def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False) -> Axes:
-    """Figure S9 B, or C with ``rate``: total strain energy (mJ, mJ/s) against the normal force."""
+    """Draw figure S9 B, or C with ``rate``: total strain energy (mJ, mJ/s) against the normal force."""
     energy = presses.energy()
     _draw_series(axes, presses, _rate(energy, presses.time) if rate else energy)
     axes.set(ylabel="strain energy rate (mJ/s)" if rate else "total strain energy (mJ)")
@@ -142,7 +142,7 @@ def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False
 
 
 def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Figure S5 K: speed along the plate of the element that moves furthest in contact, against the normal force."""
+    """Draw figure S5 K: speed along the plate of the element displaced furthest in contact, against normal force."""
     moved = 1e3 * presses.chain.displacement[..., 0].numpy()
     touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
     furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
@@ -153,7 +153,7 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Figure S5 J by the model: the largest displacement (mm) along the plate in contact at full load, a friction."""
+    """Draw figure S5 J of the model: largest displacement (mm) along the plate in contact at full load, by friction."""
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
@@ -170,12 +170,12 @@ def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
 
 
 def friction_colours(presses: SimulatedPresses) -> Any:
-    """A colour a friction, (K, 4), darker the smaller it is."""
+    """Return one colour a friction (K, 4), in the order of the presses from dark to light."""
     return colormaps["viridis"](np.linspace(0, 0.9, len(presses.friction)))
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """(T, K) a second, by straight lines over 0.12 s of even times; NaN where a line would reach beyond them."""
+    """Return rates (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
     width = max(1, round(_SLOPE_S / (time[1] - time[0]) / 2))
     offsets = np.arange(-width, width + 1)
     weights = offsets[::-1] / ((offsets**2).sum() * (time[1] - time[0]))
@@ -193,7 +193,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
-    """Extent (mm) and strains (H, W, 3) at full load of the chain turned about its axis, NaN outside of the contact."""
+    """Return extent (mm) and strains (H, W, 3) of the chain rotated about its axis at full load; NaN off contact."""
     k, found = presses.index(friction), presses.profile()
     radius = found.radius[-1, k]
     reach = float(radius[-1])

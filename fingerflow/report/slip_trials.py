@@ -1,4 +1,4 @@
-"""Trials of tangential loading as a line each, a count and figures, like those of Terekhov & Hayward 2011."""
+"""Trials of tangential loading: verdict lines, counts, and figures like those of Terekhov & Hayward 2011."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from fingerflow.results.atomic_write import is_marked, keep_others
 
 @dataclass(frozen=True)
 class SlipTrial:
-    """A processed trial: its name, the data set, the verdict and the fit of friction, None where there is none."""
+    """Processed trial: name, data set, verdict, and fit of friction or None."""
 
     name: str
     result: xr.Dataset
@@ -30,21 +30,21 @@ class SlipTrial:
 
     @classmethod
     def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
-        """From a data set with `stuck_ratio`."""
+        """Return the trial of a data set with `stuck_ratio`."""
         stored = result["stuck_ratio"].attrs
         verdict = TrialVerdict(**_numbers(stored["verdict"]))
         fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None
         return cls(name, result, verdict, fit)
 
     def load_ratio(self) -> NDArray[np.float64]:
-        """(F,) T/N, NaN where there are no forces."""
+        """Return T/N (F,), NaN without forces."""
         if "load_ratio" in self.result:
             return np.asarray(self.result["load_ratio"])
         return np.full(self.result.sizes["frame"], np.nan)
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """The verdict by the corrected rule, that by the rule as printed, and the numbers behind them."""
+    """Return the verdicts by the corrected and by the printed rule, with their numbers, as one line."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -55,7 +55,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """How many trials have which verdict, by the corrected rule, which counts, and as printed."""
+    """Return the number of trials of each verdict, by the corrected rule and as printed, as one line."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -69,9 +69,11 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
 
 
 def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False) -> Path:
-    """One figure a trial, skin motion, d^2 against T/N and against time, and `trials.png` of them all; the folder.
+    """Write one figure a trial (`trial_figure`) and `trials.png` of all of them; return the folder.
 
-    Raises FingerflowError, and writes nothing, where without ``overwrite`` one would replace a picture that is none.
+    Raises:
+        FingerflowError: without ``overwrite``, a file would be replaced that fingerflow has not written; nothing is
+            written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
@@ -96,12 +98,12 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
 
 
 def trial_figure(trial: SlipTrial) -> Figure:
-    """Skin motion at the end of slow loading with the stuck part, d^2 against T/N and against time."""
+    """Draw skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    # The last frame of slow loading: later the stuck part is gone, or as good as.
+    # The last frame of slow loading: later the stick region has almost vanished.
     frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
     position, region = np.asarray(result["position"]), result["stuck_region"]
     draw_motion(
@@ -119,7 +121,7 @@ def trial_figure(trial: SlipTrial) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """A dataclass from the attribute of a result: null is NaN again, lists are tuples."""
+    """Return the fields of a dataclass from an attribute of a result: null becomes NaN, lists become tuples."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

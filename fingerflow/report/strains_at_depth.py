@@ -1,4 +1,4 @@
-"""Figure S10 of Willemet et al. 2021: stresses and strains at the receptors' depth during a press of the skin chain."""
+"""Figure S10 of Willemet et al. 2021: stresses and strains at receptor depth during a press of the skin chain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, fri
 
 Values = NDArray[np.float64]
 _REACH_MM = 5.0  # along the surface from the middle of the contact
-_APART_MM = 1.2  # of two receptors that are marked
-_SHAPES = 6  # of the skin while it is pressed
+_APART_MM = 1.2  # spacing of marked receptors
+_SHAPES = 6  # drawn shapes of the skin during a press
 
 
 @dataclass(frozen=True)
 class Depth:
-    """Under K presses at Y places along the surface."""
+    """Stresses and strains below the surface for K presses, at Y positions along the surface."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -35,7 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Stress by the half-space under the chain's pressure and traction, and the strain that follows it with a delay."""
+    """Compute half-space stress under the chain's pressure and traction, and the resulting viscoelastic strain."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -54,7 +54,7 @@ def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -
 
 
 def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float = HIGH) -> Sequence[Axes]:
-    """Figure S10 A: pressure (kPa) under the skin and the skin's shape (mm) as the force rises."""
+    """Draw figure S10 A: pressure (kPa) under the skin and the skin's shape (mm) as the force rises."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     k = presses.index(friction)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
@@ -72,7 +72,7 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float =
 
 
 def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Figure S10 B: pressure and traction (kPa) on the skin at full load, a line a friction."""
+    """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line a friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     for k, style in enumerate(_lines(presses)):
         x = 1e3 * presses.chain.position[-1, k, :, 0].numpy()
@@ -86,7 +86,7 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
 
 
 def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
-    """Figure S10 C: normal stress (kPa) inside the skin at full load, receptors as black dots."""
+    """Draw figure S10 C: normal stress (kPa) inside the skin at full load, with receptors as black dots."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
     for one, friction in zip(axes, (LOW, HIGH), strict=True):
@@ -102,7 +102,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
 
 
 def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
-    """Figure S10 D: the three stresses (kPa) 2 mm deep at full load, a line a friction."""
+    """Draw figure S10 D: the three stresses (kPa) 2 mm deep at full load, one line a friction."""
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
     for one, values, name in zip(axes, depth.receptor_stress, names, strict=True):
@@ -122,7 +122,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
 
 
 def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Axes:
-    """Figure S10 E: strain along the surface (%) 2 mm deep, over place and time, at the high friction."""
+    """Draw figure S10 E: strain along the surface (%) 2 mm deep, over position and time, at the high friction."""
     axes: Axes = part.subplots()
     strain = 100 * depth.strain_y[:, presses.index(HIGH)]
     largest = float(np.abs(strain).max())
@@ -133,7 +133,7 @@ def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth
 
 
 def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axes:
-    """Figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time, and its ratio."""
+    """Draw figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time."""
     middle = len(depth.place) // 2
     compression = -100 * depth.strain_z[:, :, middle]
     for series, style in zip(compression.T, _lines(presses), strict=True):
@@ -144,7 +144,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Of each press: loads nearly coincide, so that lines grow thinner, and those drawn first stay visible."""
+    """Return line styles of the presses, ever thinner: loads nearly coincide, and earlier lines must stay visible."""
     widths = np.linspace(3.5, 0.9, len(presses.friction))
     return [
         {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}
@@ -153,5 +153,5 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Of values (K,) at the high over the low friction."""
+    """Return the ratio of values (K,) at the high and the low friction as text."""
     return f"friction {HIGH:g} over {LOW:g}: {values[presses.index(HIGH)] / values[presses.index(LOW)]:.3f}"

@@ -1,4 +1,4 @@
-"""Which frames of a trial are worth a map and a column of numbers: chosen by what happens in them."""
+"""Key frames of a trial, for maps and columns of numbers: chosen by force, slip, displacement or contact."""
 
 from typing import NamedTuple
 
@@ -10,25 +10,25 @@ from fingerflow.plot.abscissa import varies
 
 LEVELS_N = (1.0, 2.0, 3.0)
 _MOST = 5
-_APART = 0.02  # of the frames, that two are apart at least
-_LOADED = 0.2  # of the largest normal force, above which a ratio of forces means something
+_APART = 0.02  # least distance of two, as a share of the frames
+_LOADED = 0.2  # share of the largest normal force above which a load ratio is used
 
 
 class Telling(NamedTuple):
-    """A frame, by its place in the result, and what happens in it."""
+    """Key frame: its index in the result, and why it was chosen."""
 
     frame: int
     why: str
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """At most five frames in the order of time, the most telling ones where more are found.
+    """Return at most five key frames in order of time; of more, those first in the lists below.
 
-    Where the normal force varies: the first at which it is 1, 2 and 3 N, and that of the largest. Where the skin is
-    pulled: half of the largest load ratio, the largest, and the last frame. Of a soft sensor: half of the largest
-    displacement on the way up, the largest, and the first gross slip. Else half of the largest contact on the way up,
-    the largest, and the last frame in contact. Frames in which nothing is known are left out. Empty where that is all
-    of them.
+    If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
+    load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft
+    sensor: the largest displacement, half of it, and the first gross slip. Otherwise, or if fewer than two are found:
+    the largest contact, the last frame in contact, and half of the largest. Frames without known fields (or contact)
+    are left out; the list is empty if all are.
     """
     known = _known(result)
     if not known.any():
@@ -47,7 +47,7 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """(F,) frames of which there is something to show: fields where there are any, else the contact."""
+    """Return which frames (F,) have known fields, or contact where the result has no fields."""
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -63,7 +63,7 @@ def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[T
         return []
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
     found = [Telling(top, "largest force")]
-    # The latest levels are the likelier ones to show something.
+    # Higher levels first, as they show more.
     return found + [Telling(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
 
 
@@ -115,7 +115,7 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """The first of those that are (nearly) the same frame, in the order of time."""
+    """Return at most five frames that are apart by 2 % of the frames, preferring earlier entries, in order of time."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -1,6 +1,6 @@
-"""Metrics of many trials as figures S1, S5 and S7 to S9 of Willemet et al. 2021 show them, each into given axes.
+"""Metrics of many trials, as in figures S1, S5 and S7 to S9 of Willemet et al. 2021, drawn into given axes.
 
-Answers are correct where the comparison, which vibrates, was felt as more slippery than the reference, which does not.
+An answer is correct if the vibrating comparison was felt as more slippery than the reference, which does not vibrate.
 """
 
 from typing import Any, NamedTuple
@@ -18,18 +18,18 @@ Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
-_BINS = 8  # of equally many trials
+_BINS = 8  # with equally many trials
 _NORMAL_95 = 1.959964
 
 
 class Shown(NamedTuple):
-    """How a metric is named on an axis, and what it is multiplied with for that."""
+    """Label of a metric on an axis, and the factor from the unit of its column to that of the label."""
 
     label: str
     factor: float = 1.0
 
 
-#: Metrics by their column's name, with the unit of the column.
+#: Metrics by the name of their column; comments give the unit of the column.
 METRICS = {
     "max_force": Shown("maximal normal force (N)"),  # N
     "time_to_max_force": Shown("time to maximal force (s)"),  # s
@@ -50,7 +50,7 @@ METRICS = {
 
 
 def named(metric: str) -> Shown:
-    """Of METRICS, or of one of these with `_difference` behind it: the comparison's less the reference's."""
+    """Return the label of a metric, or of its difference (comparison less reference) for a name with `_difference`."""
     own = METRICS[metric.removesuffix(DIFFERENCE)]
     if not metric.endswith(DIFFERENCE):
         return own
@@ -59,7 +59,7 @@ def named(metric: str) -> Shown:
 
 
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figures S5 B, C, D and H: how many trials have which value, with their mean and standard deviation."""
+    """Draw figures S5 B, C, D and H: histogram of a metric with its mean and standard deviation."""
     values = _shown(trials, metric)
     known = values[np.isfinite(values)]
     axes.hist(known, bins=max(8, min(40, round(known.size**0.5))) if known.size else 8, color=GREY, alpha=0.7)
@@ -73,7 +73,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figures S5 E, F and G: share of answers in eight bins of equally many trials, its 95 % interval, and an ANOVA."""
+    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     if known.any():
@@ -92,7 +92,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figure S5 I: share of answers at each amplitude, trials with low, middle and high values a bar each."""
+    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high values."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -115,10 +115,13 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude, every trial, median, mean ± SD, an ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude: trials, median, mean ± SD, ANOVA.
 
     Args:
-        normalised: by the median of each participant, as contact areas are.
+        axes: axes to draw into.
+        trials: table of trials.
+        metric: name in METRICS, or with `_difference`.
+        normalised: divide by the median of each participant, as for contact areas.
     """
     values = _shown(trials, metric)
     if normalised:
@@ -129,7 +132,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
         own = own[np.isfinite(own)]
         if not own.size:
             continue
-        # Side by side in the order of the table: no two runs of a figure differ.
+        # Spread in the order of the table, so that figures are reproducible.
         axes.plot(index + np.linspace(-0.3, 0.3, own.size), own, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
         if own.size > 1:
             mean, deviation = own.mean(), own.std(ddof=1)
@@ -145,10 +148,10 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median of a metric.
+    """Draw figures S7 C to E, S8 H and I, S9 E: share of answers against the median of a metric.
 
-    A dot a participant and amplitude; the darker, the smaller the amplitude.
-    The title has Spearman's coefficient over the dots.
+    One dot a participant and amplitude, darker for smaller amplitudes. The title has Spearman's coefficient over the
+    dots.
     """
     values = _shown(trials, metric)
     conditions, place = _conditions(trials)
@@ -172,7 +175,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
-    """Figures S8 G and S9 D: one metric against another, a colour a participant, the line of least squares and R²."""
+    """Draw figures S8 G and S9 D: one metric against another, one colour a participant, least-squares line and R²."""
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
@@ -192,7 +195,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 
 def finished_beside(axes: Axes, title: str) -> Axes:
-    """`finished`, with the legend beside the axes, where it covers no dot."""
+    """Finish axes as `finished` does, with the legend beside the axes, where it covers no dot."""
     finished(axes)
     axes.legend(
         frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
@@ -208,7 +211,7 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Their names in rising order, and which of them each trial has."""
+    """Return the conditions' names in rising order, and the index of each trial's condition."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 
@@ -224,7 +227,7 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
 
 
 def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
-    """The 95 % interval of a share by Wilson's score, which stays between 0 and 1."""
+    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1."""
     n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))

@@ -1,4 +1,4 @@
-"""The table of trials from a CSV file: one row a trial, a heading with the names of the columns."""
+"""Table of trials from a CSV file: one row a trial, a heading with the names of the columns."""
 
 import csv
 import math
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, read_trials
 
-_NAMES = ("participant", "trial")  # as they stand; a condition is a number where all of them are
+_NAMES = ("participant", "trial")  # kept as text; conditions are numbers if all of them are
 _ANSWERS = {"1": True, "true": True, "0": False, "false": False}
 _NOTHING = ("", "nan", "na")
 
@@ -23,8 +23,9 @@ def load_trials(path: str | PathLike[str]) -> Trials:
     Columns `participant`, `trial`, `condition` (the vibration amplitude in µm, for figures against it), `answer` (1 or
     true where the comparison was felt as more slippery, which is correct) and metrics. An empty cell is NaN.
 
-    Raises FingerflowError for a file that cannot be read, a row with more or fewer cells than the heading, an answer or
-    a metric that is none, and as in `read_trials`.
+    Raises:
+        FingerflowError: the file cannot be read, a row has more or fewer cells than the heading, an answer or a metric
+            is invalid, or as in `read_trials`.
     """
     location = Path(path)
     try:

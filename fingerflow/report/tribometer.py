@@ -1,4 +1,4 @@
-"""Sliding friction from a tribometer trace: a file in, figures S1 A and B of Willemet et al. 2021."""
+"""Sliding friction from a tribometer trace: reading of the file, and figures S1 A and B of Willemet et al. 2021."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 from fingerflow.recordings import open_forces
 
-#: What a trace holds, in the unit it is brought to.
+#: Signals of a trace, with the unit they are converted to.
 SIGNALS = {"normal": "N", "tangential": "N", "position": "m", "amplitude": "m"}
-BINS = 6  # of amplitude: the paper has that many levels besides none
-_MOST_POINTS = 20_000  # of a line: more than any figure shows
+BINS = 6  # of amplitude: the paper has six levels besides none
+_MOST_POINTS = 20_000  # of a line, more than any figure resolves
 
 
 @dataclass(frozen=True)
 class TribometerTrace:
-    """T samples of a finger that slides to and fro while the plate's vibration is modulated; float64, SI units."""
+    """Trace of T samples of a finger sliding to and fro on a plate with modulated vibration; float64, SI units."""
 
     path: Path
     time: Tensor  # (T,) s
@@ -33,9 +33,10 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Coefficient a rising half period, in bins between ``edges`` (m): six equal ones by default.
+        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m), default six.
 
-        Raises FingerflowError, which names the file, for a trace that cannot be cut into epochs.
+        Raises:
+            FingerflowError: the trace cannot be divided into epochs.
         """
         low, high = float(self.amplitude.min()), float(self.amplitude.max())
         if edges is None:
@@ -61,12 +62,12 @@ def read_tribometer(
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
-        columns: from "normal", "tangential", "position", "amplitude" and "time" to the columns' names in the file;
-            what is left out is called so there.
-        units: of columns by their names in the file, where it does not state them: N, mN ...; m, mm, um ...
+        columns: names of the columns in the file for "normal", "tangential", "position", "amplitude" and "time"; a
+            signal left out has its own name there.
+        units: units of columns, by their names in the file, if the file does not state them: N, mN ...; m, mm, um ...
 
     Raises:
-        FingerflowError: a signal that does not exist, or as in `open_forces`.
+        FingerflowError: an unknown signal, a signal that is not in N or m, or as in `open_forces`.
     """
     given = dict(columns or {})
     strange = sorted(set(given) - {*SIGNALS, "time"})
@@ -89,7 +90,7 @@ def read_tribometer(
 
 
 def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpochs) -> Sequence[Axes]:
-    """Figure S1 A into four axes, one above the other: forces, T/N, position and envelope, with the epochs shaded."""
+    """Draw figure S1 A into four axes: forces, T/N, position and vibration envelope, with the epochs shaded."""
     step = max(1, len(trace.time) // _MOST_POINTS)
     time, normal, tangential, position, amplitude = (
         signal[::step].numpy()
@@ -122,7 +123,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
 
 
 def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
-    """Figure S1 B: the coefficient of each epoch against the amplitude, and over epochs their median and quartiles."""
+    """Draw figure S1 B: the coefficient of each epoch against the amplitude, with median and quartiles over epochs."""
     middles = 1e6 * ((epochs.edges[1:] + epochs.edges[:-1]) / 2).numpy()
     for medians in epochs.median.numpy():
         axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)
@@ -134,6 +135,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Upper limit of an axis that a few wild quotients, of a finger that hardly presses, do not set."""
+    """Return an upper axis limit from the 0.99 quantile, robust to large ratios at small normal forces."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

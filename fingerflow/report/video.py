@@ -1,4 +1,4 @@
-"""MP4 files by PyAV, from pictures as they come."""
+"""MP4 encoding of a sequence of pictures by PyAV."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -14,15 +14,18 @@ RATE = 30  # frames a second of a video
 
 
 def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
-    """Writes RGB pictures (H, W, 3) of one size; a row or column beyond an even side is left out.
+    """Write RGB pictures (H, W, 3) of one size as MP4; an odd last row or column is left out.
 
-    H.264 where PyAV has it, else MPEG-4. Raises ValueError for no picture at all.
+    The codec is H.264 if PyAV has it, else MPEG-4.
+
+    Raises:
+        ValueError: there is no picture.
     """
     with av.open(str(path), "w") as container:
         name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         container.metadata["comment"] = MARK
         stream = container.add_stream(name, rate=RATE)
-        assert isinstance(stream, av.VideoStream)  # both codecs are of video
+        assert isinstance(stream, av.VideoStream)  # both are video codecs
         stream.pix_fmt = "yuv420p"
         stream.time_base = Fraction(1, RATE)
         stream.bit_rate = 8_000_000

@@ -1,4 +1,4 @@
-"""The two views of a frame as pictures, and what is drawn over them."""
+"""Views of a frame as pictures, with contact, points and displacement drawn over them."""
 
 import json
 from typing import Any
@@ -20,10 +20,10 @@ CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), 
 
 
 class ViewPainter:
-    """Draws contact, points and displacement of a frame over its views; colours are RGB."""
+    """Painter of contact, points and displacement over the views of a frame; colours are RGB."""
 
     def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-        """Raises FingerflowError where the result is that of another recording."""
+        """Check the recording; raise FingerflowError if the result was computed from another one."""
         check_recording(result, scene, recording)
         self._result = result
         self._scene = scene
@@ -35,12 +35,12 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Both views of a frame (by its place in the result), side by side, (H, W, 3)."""
+        """Return the views of a frame (index in the result) side by side, (H, W, 3)."""
         picture = self._recording[self._first + frame]
         parts = []
         views = {"topography": self._scene.views.topography, "contact": self._scene.views.contact}
         if self._scene.soft_sensor:
-            views = {"contact": self._scene.views["camera"]}  # one picture, once
+            views = {"contact": self._scene.views["camera"]}  # its other views show the same picture
         for name, view in views.items():
             if view is not None:
                 part = self._grey(name, picture, view)
@@ -55,7 +55,7 @@ class ViewPainter:
     def _grey(self, name: str, picture: NDArray[Any], view: View) -> Picture:
         part = view.crop(picture).astype(np.float32)
         if name not in self._levels:
-            # One contrast for all frames, from the first that is drawn: a video must not flicker.
+            # One contrast for all frames, from the first one drawn, so that a video does not flicker.
             self._levels[name] = (float(np.percentile(part, 0.5)), float(np.percentile(part, 99.8)))
         low, high = self._levels[name]
         grey = np.clip((part - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
@@ -102,7 +102,7 @@ class ViewPainter:
                 cv2.circle(part, place, 10, colour, -1, cv2.LINE_AA, 3)
 
     def _eighths(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Positions (N, 2) in eighths of a pixel, which OpenCV draws to; anything where they are not known."""
+        """Return positions (N, 2) in eighths of a pixel, the precision of OpenCV's drawing; arbitrary where unknown."""
         return np.round(np.nan_to_num(self._pixels(millimetres, matrix)) * 8).astype(np.int32)
 
     def _pixels(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -79,7 +79,7 @@ def workers_for(count: int, workers: int | None) -> int:
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Return the threads per worker: this computer's cores are divided among its workers, a cluster's workers have one."""
+    """Return the threads per worker: this computer's cores divided among its workers, or one in a cluster."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -230,7 +230,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
 
 
 def _load_once(module: str) -> None:
-    """Fork workers from one process that has imported this module, instead of importing it for seconds in each worker."""
+    """Make workers fork from one process that has imported this module: the import in each would take seconds."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()

@@ -263,7 +263,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Raise FingerflowError for a column that is no key of a scene; keys of views depend on its kind and are not checked."""
+    """Raise FingerflowError for a column that is no key of a scene; keys below `views` are not checked here."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -283,7 +283,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Escape all characters but letters, digits, dots and dashes by their number, so that different texts stay different."""
+    """Escape all characters but letters, digits, dots and dashes by their number: different texts stay different."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

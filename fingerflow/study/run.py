@@ -183,7 +183,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome of a task that no worker could finish; raises FingerflowError if the worker itself is at fault."""
+    """Return the outcome of a task that no worker could finish; raises FingerflowError if the worker is at fault."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -78,7 +78,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return the rows of the table: the manifest's columns of each trial, then its facts, then its numbers, NaN for None."""
+    """Return the rows of the table: the manifest's columns of each trial, its facts, then its numbers, NaN for None."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:

@@ -139,7 +139,7 @@ class Truth:
         return 0.0 if ellipse is None else ellipse.area
 
     def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Return the area (mm²) of the ridges in contact, by quadrature with samples_per_px² partly filled cells a px."""
+        """Return the real contact area (mm²), by quadrature with samples_per_px² partly filled cells per pixel."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
@@ -162,7 +162,7 @@ class Truth:
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
         """Return the displacement (..., 2) in mm since the onset, or since frame `reference`.
 
-        NaN before the onset and for points without one.
+        It is NaN before the onset and for points without one.
         """
         points = _points(material)
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
@@ -253,7 +253,7 @@ class Truth:
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate
         onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
-        # What was inside at the start has its onset there, and so have its neighbours.
+        # Points inside at the start have their onset at progress 0, and so have their neighbours.
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
         now, _ = self._derivatives(self._forward(points, progress, points), progress)

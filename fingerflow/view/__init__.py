@@ -1,4 +1,4 @@
-"""A page, served to this computer alone, to set up a scene and to look at results: `fingerflow view`."""
+"""Local page to set up a scene and view results (`fingerflow view`), served to this computer only."""
 
 from fingerflow.errors import FingerflowError
 

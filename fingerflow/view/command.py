@@ -1,4 +1,4 @@
-"""A command of fingerflow in a process of its own, so that the page goes on; its bar tells how far it is."""
+"""Command of fingerflow in a subprocess, so that the page stays responsive; its progress bar is parsed."""
 
 import re
 import subprocess
@@ -11,15 +11,15 @@ from typing import Any
 import fingerflow
 
 _COUNT = re.compile(r"(\w+):[^\r\n|]*\|[^\r\n|]*\|\s*(\d+)/(\d+)")
-_KEPT = 4000  # characters of what it says last
-_READ = 256  # bytes at a time
+_KEPT = 4000  # last characters of its output
+_READ = 256  # bytes a read
 
 
 class Command:
-    """One run. Ending it leaves nothing half-written.
+    """Run of a command in a subprocess. Ending it leaves no partly written file.
 
     Attributes:
-        to: what it writes.
+        to: path of its output.
     """
 
     def __init__(self, arguments: Sequence[str | Path], to: Path) -> None:
@@ -27,7 +27,7 @@ class Command:
         self._said = ""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "fingerflow", *map(str, arguments)],
-            cwd=Path(fingerflow.__file__).resolve().parents[1],  # this package, not another that is installed
+            cwd=Path(fingerflow.__file__).resolve().parents[1],  # runs this package, not another installed one
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -36,7 +36,7 @@ class Command:
         self._listener.start()
 
     def state(self) -> dict[str, Any]:
-        """What the page shows: whether it runs, how far it is, and what it said where it failed."""
+        """Return status, progress and last lines of output for the page."""
         code = self._process.poll()
         if code is not None:
             self._listener.join(5)
@@ -55,7 +55,7 @@ class Command:
         }
 
     def end(self) -> None:
-        """Ends it where it still runs."""
+        """Terminate the process if it still runs."""
         if self._process.poll() is None:
             self._process.terminate()
             self._process.wait(20)

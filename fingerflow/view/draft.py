@@ -1,4 +1,4 @@
-"""A scene file while it is being set up: what it says, what is wrong with it, and its writing."""
+"""Draft of a scene file while it is set up: its values, its problems, and writing it."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +16,7 @@ from fingerflow.schema.scene_keys import SCENE
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 
 Keys = tuple[str, ...]
-#: What is said of a key that is missing, where more helps than that it is.
+#: Messages for missing keys that need more than "is needed".
 _NEEDED = {
     "background.frames": "is needed: frames of the empty glass",
     "calibration.mm_per_px": "is needed: calibrate from pictures, name a calibration file, or type the scale",
@@ -25,31 +25,31 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """A file would be replaced whose content this page has neither read nor written."""
+    """Error: a file would be replaced whose content this page has neither read nor written."""
 
 
 class Draft:
-    """The text of a scene file; comments and the order of the keys stay when a value changes.
+    """Draft of a scene file; changing a value keeps comments and the order of keys.
 
     Attributes:
-        path: the file that it is of, or will be.
+        path: path of the scene file, which may not exist yet.
     """
 
     def __init__(self, path: Path, text: str, stored: str | None) -> None:
-        """`stored` is the content of the file as it was read, None where there was none."""
+        """Parse a text; `stored` is the content of the file as read, or None if there was no file."""
         self.path = path.resolve()
         self._document = _parsed(text, self.path)
         self._stored = stored
 
     @classmethod
     def of_file(cls, path: Path) -> "Draft":
-        """Raises FingerflowError where the file cannot be read, or is no TOML."""
+        """Read a file; raise FingerflowError if it cannot be read or is not TOML."""
         text = _read(path)
         return cls(path, text, text)
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """A scene of two views side by side, beside the recording; what nobody can know of it is left out."""
+        """Return a scene in the folder of a recording, with two views side by side; unknown keys are left out."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
@@ -60,40 +60,41 @@ class Draft:
 
     @property
     def text(self) -> str:
-        """The content of the file as it would be written."""
+        """Content of the file as it would be written."""
         return tomlkit.dumps(self._document)
 
     @property
     def is_stored(self) -> bool:
-        """Whether the file has this content."""
+        """True if the file on disk has this content, as read or written by this page."""
         return self._stored == self.text and self.path.is_file()
 
     def values(self) -> dict[str, Any]:
-        """What it says, as TOML gives it."""
+        """Return the values as plain TOML types."""
         return dict(self._document.unwrap())
 
     def kind(self) -> str:
-        """The kind of the scene, stated or not."""
+        """Return the kind of the scene, as stated or by default."""
         values = self.values()
         return str(values.get("kind", default_kind(values)))
 
     def problems(self) -> list[dict[str, str]]:
-        """What is wrong with which key, in words that follow the key."""
+        """Return the problems as key and message; the message continues a sentence that begins with the key."""
         _, problems = check_scene(self.values(), self.path.parent, "process")
         found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
         for one in found:
-            if one["said"] == MISSING:  # whose remedy is for those who write the file by hand
+            if one["said"] == MISSING:  # its remedy addresses those who edit the file by hand
                 one["said"] = _NEEDED.get(one["key"], "is needed")
         return found
 
     def scene(self) -> Scene:
-        """Raises FingerflowError where something is wrong."""
+        """Return the scene; raise FingerflowError if it is invalid."""
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Sets a key; None takes it out, and its table with its last one, where a scene can be without it.
+        """Set a key; None removes it, and its table if that becomes empty and is not required.
 
-        Raises FingerflowError where a key stands in the place of a table.
+        Raises:
+            FingerflowError: a parent of the key is not a table.
         """
         *tables, last = keys
         place: Any = self._document
@@ -116,27 +117,28 @@ class Draft:
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Another kind of scene; where its views are others, they begin as the halves of a frame, or all of it.
+        """Set the kind of the scene; views that do not fit it are reset to the halves of a frame, or to all of it.
 
-        Raises FingerflowError for a kind that there is not.
+        Raises:
+            FingerflowError: unknown kind.
         """
         if kind not in KINDS:
             raise FingerflowError(f"kind is {kind!r}: it should be one of {', '.join(KINDS)}")
         views, known = self.values().get("views", {}), KINDS[kind]
         stated = "kind" in self._document
         if kind != default_kind(self.values()) or stated:
-            if not stated:  # keys of no table stand before all tables
+            if not stated:  # top-level keys must precede all tables
                 self._document = _parsed(f'kind = "{kind}"\n{self.text}', self.path)
             self._document["kind"] = kind
         if set(views) - {*known.views, *known.optional_views} or set(known.views) - set(views):
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Writes the file, and checks it as `process` would read it before it appears.
+        """Check the scene as `process` would, then write the file and return its path.
 
         Raises:
-            NeedsLeaveError: there is a file with another content than was read, and `replace` is false.
-            FingerflowError: something is wrong with the scene, or it cannot be written.
+            NeedsLeaveError: a file exists with other content than was read, and `replace` is false.
+            FingerflowError: the scene is invalid, or the file cannot be written.
         """
         path = self.path if to is None else to.resolve()
         text = self.text
@@ -150,7 +152,7 @@ class Draft:
 
 
 def files_beside(path: Path, most: int = 300) -> list[str]:
-    """Names in the folder of a file, for somebody who has to choose one."""
+    """Return up to `most` names in the folder of a file, without hidden ones, to choose from."""
     try:
         names: Iterable[str] = sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))
     except OSError:
@@ -159,7 +161,7 @@ def files_beside(path: Path, most: int = 300) -> list[str]:
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
-    """Two views are the halves of a frame as the rig of Willemet et al. 2021 has them; one is all of it."""
+    """Return default views: two are the halves of a frame, as in the rig of Willemet et al. 2021; one is all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2
@@ -171,12 +173,12 @@ def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
 
 
 def _is_needed(table: str) -> bool:
-    """Whether a scene must have a table, which then stays, to say which of its keys is missing."""
+    """Return whether a scene requires a table; an empty one then stays, so that its missing keys are reported."""
     return table in SCENE and "process" in SCENE[table].needed_by
 
 
 def _free(path: Path) -> Path:
-    """The path itself, or with a number where there is such a file."""
+    """Return the path, with a number if such a file exists."""
     found, number = path, 2
     while found.exists():
         found, number = path.with_stem(f"{path.stem}-{number}"), number + 1

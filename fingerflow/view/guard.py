@@ -1,4 +1,4 @@
-"""Who may ask: the page itself, on this computer, opened by the address that was printed."""
+"""Access control: only the page itself, on this computer, opened by the printed address, is answered."""
 
 import hmac
 import secrets
@@ -9,7 +9,7 @@ from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-HEADER = "x-fingerflow"  # another site's page cannot send it without leave, which it is not given
+HEADER = "x-fingerflow"  # other sites cannot send it without a CORS permission, which is never granted
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -22,20 +22,20 @@ _HEADERS = {
 
 
 class Guard:
-    """Refuses names that are not this computer's (DNS rebinding), other origins, and whoever lacks the token.
+    """Middleware that refuses host names of other computers (DNS rebinding), other origins and a missing token.
 
     Attributes:
-        token: of this run; in the address that opens the page, then in a cookie that only its own pages send.
+        token: secret of this run; in the address that opens the page, then in a cookie that only its pages send.
     """
 
     def __init__(self, app: ASGIApp, port: int) -> None:
         self._app = app
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._cookie = f"fingerflow-{port}"  # cookies know no ports
+        self._cookie = f"fingerflow-{port}"  # cookies are shared by all ports
         self.token = secrets.token_urlsafe(24)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers itself, or lets the application."""
+        """Answer refused requests; pass all others to the application. Only HTTP is served."""
         if scope["type"] != "http":
             return
         refused = self._refused(Headers(scope=scope), scope)
@@ -76,7 +76,7 @@ class Guard:
 
 
 def _opens(headers: Headers, scope: Scope) -> bool:
-    """A link that somebody follows to the page itself, which the token still guards."""
+    """Return whether a request follows a link to the page itself, which still requires the token."""
     return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
 
 

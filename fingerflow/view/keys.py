@@ -1,4 +1,4 @@
-"""The keys of a scene for the forms of the page: from the table that `process` checks them with."""
+"""Forms of the page for the keys of a scene, from the table that `process` checks them with."""
 
 from typing import Any
 
@@ -7,12 +7,15 @@ from fingerflow.schema.scene_kinds import KINDS
 
 
 def kinds() -> list[str]:
-    """Of scenes."""
+    """Return the kinds of scenes."""
     return list(KINDS)
 
 
 def forms() -> dict[str, list[dict[str, Any]]]:
-    """By table, its keys: name, kind of input, limits, default. Views are drawn, not typed."""
+    """Return the keys of each table with name, kind of input, limits and default.
+
+    Views are not among them, as they are drawn.
+    """
     return {
         name: [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)]
         for name, table in SCENE.items()
@@ -37,7 +40,7 @@ def _form(name: str, key: SceneKey) -> dict[str, Any]:
         case Text():
             return {**said, "input": "text"}
         case _:
-            return {**said, "input": "toml"}  # a matrix, a polygon: as it stands in the file
+            return {**said, "input": "toml"}  # a matrix or polygon, as TOML text
 
 
 def _limits(number: NumberType) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""What a path is: a scene, a recording or a result."""
+"""Opening of a path: a scene, a recording or a result."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -8,20 +8,21 @@ from fingerflow.recordings import open_recording
 from fingerflow.results.result import is_result, scene_of
 from fingerflow.view.draft import Draft
 
-RESULT = "result.h5"  #: beside the scene, as `fingerflow process` names it
+RESULT = "result.h5"  #: name that `fingerflow process` gives it, in the scene's folder
 
 
 class Opened(NamedTuple):
-    """A draft of a scene, a result's path, or both."""
+    """Draft of a scene, path of a result, or both."""
 
     draft: Draft | None
     result: Path | None
 
 
 def open_path(path: Path | None) -> Opened:
-    """A scene with its result beside it, a result, or a recording whose scene begins.
+    """Open a scene with the result in its folder, a result with its scene, or a recording with a new draft.
 
-    Raises FingerflowError where it is none of these, or nothing is named and there is no scene.toml here.
+    Raises:
+        FingerflowError: the path is none of these, or it is None and the current folder has no scene.toml.
     """
     if path is None:
         path = Path("scene.toml")
@@ -39,7 +40,7 @@ def open_path(path: Path | None) -> Opened:
 
 
 def _draft_of(result: Path) -> Draft | None:
-    """The scene file of a result, where it is still there and can be read."""
+    """Return the draft of a result's scene file, or None if that cannot be read."""
     try:
         return Draft.of_file(scene_of(result))
     except FingerflowError:

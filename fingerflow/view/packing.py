@@ -1,4 +1,4 @@
-"""Facts and arrays in one answer: what a page in a browser reads without parsing numbers."""
+"""Packing of facts and arrays into one binary answer, which a browser reads without parsing numbers."""
 
 import json
 import math
@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # that JavaScript has arrays of
+_KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # those with JavaScript typed arrays
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Length of a JSON text (little-endian uint32), the text, and the arrays that it lists as `arrays`.
+    """Return the length of a JSON text (little-endian uint32, then 4 zeros), the text, and the arrays that it lists.
 
-    The text and each array are padded to 8 bytes. Raises ValueError for arrays of another kind of number.
+    The text and each array are padded to 8 bytes.
+
+    Raises:
+        ValueError: the dtype of an array is not uint8, int32, float32 or float64.
     """
     whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     for name, array in whole.items():
@@ -30,7 +33,7 @@ def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byte
 
 
 def plain(value: Any) -> Any:
-    """What JSON can say: NaN and infinity become null."""
+    """Return a value in JSON types; NaN and infinity become None (null)."""
     if isinstance(value, Mapping):
         return {str(name): plain(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""Frames as grey pictures of 8 bits, with one contrast for all of a recording."""
+"""Frames as 8-bit grey pictures, with one contrast for a recording."""
 
 from typing import Any
 
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording
 
-_MOST_SIDE = 1400  # px; of larger frames every 2nd, 3rd ... pixel is shown
-_STEP = 4  # px between those that tell the contrast
-_DARKEST, _BRIGHTEST = 0.2, 99.9  # %
+_MOST_SIDE = 1400  # px; larger frames are subsampled
+_STEP = 4  # px between the pixels that set the contrast
+_DARKEST, _BRIGHTEST = 0.2, 99.9  # percentiles drawn black and white
 
 
 class Pictures:
-    """Pictures of a recording.
+    """Pictures of the frames of a recording.
 
     Attributes:
-        every: of how many pixels, across and down, one is shown.
+        every: subsampling step along both axes, px.
     """
 
     def __init__(self, recording: Recording) -> None:
-        """Raises FingerflowError where no frame can be read."""
+        """Set the contrast from the first and the middle frame; raise FingerflowError if no frame can be read."""
         if not len(recording):
             raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
         self.recording = recording
@@ -34,11 +34,11 @@ class Pictures:
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) of a frame by its number in the file."""
+        """Return the picture (h, w) of a frame, by its index in the file."""
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """(h, w) of a frame (H, W)."""
+        """Return the picture (h, w) of a frame (H, W)."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)

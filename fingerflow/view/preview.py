@@ -1,4 +1,4 @@
-"""What `process` will find in a frame: its own stages, run for that frame alone."""
+"""Preview of the results of `process` for one frame: its own stages, run for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ class Preview:
     """Contact of one frame.
 
     Attributes:
-        mask: (h, w) bool, the real contact in the contact view; of a soft sensor the gross one.
-        numbers: by the names of the results; NaN where there is no contact.
-        markers: (M, 2) px of the view, those of a soft sensor that are found in this frame.
+        mask: (h, w) bool, real contact in the contact view; for a soft sensor gross contact.
+        numbers: values by the names of the results; NaN without contact.
+        markers: (M, 2) px of the view, markers of a soft sensor found in this frame.
     """
 
     mask: NDArray[np.bool_]
@@ -38,7 +38,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Chosen:
-    """The points that would be followed: (N, 2) px of the topography view, in which frame, and warnings."""
+    """Seeded points: (N, 2) px of the topography view, the frame of the seeding, and warnings."""
 
     points: NDArray[np.floating]
     frame: int
@@ -46,21 +46,22 @@ class Chosen:
 
 
 class Previewer:
-    """The stages of a scene, begun but not finished: they step through single frames.
+    """Stages of a scene, begun but not finished, that step through single frames.
 
-    Every frame is taken for usable: which are not, `process` tells from all of them together.
+    Every frame is assumed usable: `process` decides that from all frames together.
     """
 
     def __init__(self, scene: Scene, before: "Previewer | None" = None) -> None:
-        """`before` lends what has been opened, where the files and views are the same.
+        """Open the inputs of a scene, or reuse those of `before` if files and views are the same.
 
-        Raises FingerflowError for what the user can put right.
+        Raises:
+            FingerflowError: an input is missing or invalid.
         """
         self.scene = scene
         same = before if type(before) is type(self) and _opened(before.scene) == _opened(scene) else None
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
-        # Forces are resampled once: they do not depend on what is moved on the page.
+        # Forces are resampled once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
         self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
         check = FrameCheckStage(self._trial)
@@ -70,23 +71,23 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """`before` has the same recording, views and background."""
+        """Begin the contact stage; `before`, if given, has the same recording, views and background."""
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """(frames,) s, of those that count."""
+        """Times (frames,) in s of the selected frames."""
         return self._inputs.times
 
     @property
     def warnings(self) -> list[str]:
-        """Sentences of the opened files and of the stages so far."""
+        """Warnings of the opened files and of the stages so far."""
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Forces at the frames that count, by the names of the results."""
+        """Return the forces at the selected frames, by the names of the results."""
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,
@@ -95,7 +96,7 @@ class Previewer:
         return {name: values for name, values in given.items() if values is not None}
 
     def contact(self, frame: int) -> Preview:
-        """Of a frame, from 0 for the first one that counts."""
+        """Return the contact of a frame, counted from 0 for the first selected one."""
         if frame not in self._seen:
             with torch.inference_mode():
                 found = run_alone(self._contact.step(self._batch(frame)))
@@ -103,9 +104,10 @@ class Previewer:
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
-        """The points that `process` would follow, as it chooses them in the first frame (or the last one, backward).
+        """Return the points that `process` would seed in the first frame (in the last one for backward tracking).
 
-        Raises FingerflowError where there are too few, or no topography view.
+        Raises:
+            FingerflowError: too few points, or no topography view.
         """
         if self.scene.views.topography is None:
             raise FingerflowError("the scene has no topography view: no points are followed, areas are all it gives")
@@ -122,7 +124,7 @@ class Previewer:
         return Chosen(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
-        """With room for the results of some frames: the stages write those of the ones that they step through."""
+        """Return a run context with space for the results of `stored` frames."""
         planned = plan(None, self.scene)
         return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
 
@@ -137,10 +139,10 @@ class Previewer:
 
 
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """What a stage of the contact has written of a frame of its trial."""
+    """Return the series of a contact stage at one frame, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
 def _opened(scene: Scene) -> Sequence[Any]:
-    """All that opened files depend on."""
+    """Return the settings that the opened files depend on."""
     return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

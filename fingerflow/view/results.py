@@ -1,4 +1,4 @@
-"""A file of results, read as it is looked at: a frame, a course, a point at a time."""
+"""Results read from their file on demand: one frame, one time series or one point at a time."""
 
 import json
 from collections.abc import Hashable, Sequence
@@ -13,25 +13,25 @@ from fingerflow.recordings.guard.hdf5 import open_hdf5
 from fingerflow.results.result import open_result
 from fingerflow.schema.variables import LABELS
 
-_SAMPLED = 24  # frames that tell the range of colours
-_RANGE = 0.96  # share of the values below its end
-_ARROW_PX = 40  # length that the largest displacements are drawn with
-_PLACES = ("position", "position_px")  # drawn as places, not as colours
+_SAMPLED = 24  # frames that set the range of colours
+_RANGE = 0.96  # quantile of the values at its end
+_ARROW_PX = 40  # drawn length of the largest displacements
+_PLACES = ("position", "position_px")  # drawn as positions, not as colours
 Values = NDArray[np.floating]
 
 
 class Results:
-    """One result.
+    """Results of one file.
 
-    What can be shown is named by a key: a variable, and behind a colon the component of one that has several:
-    "divergence", "strain:exx", "displacement:length".
+    A key names what can be shown: a variable and, after a colon, its component: "divergence", "strain:exx",
+    "displacement:length".
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises FingerflowError where the file is no result."""
+        """Open a file; raise FingerflowError if it is not a result."""
         self.path = path.resolve()
         self.data = open_result(self.path)
-        # A frame of a variable takes 2 ms through xarray and h5netcdf, which look it up by its name each time; so 0.2.
+        # Reading one frame takes 2 ms by xarray and h5netcdf, which look the variable up each time; directly 0.2 ms.
         self._file = open_hdf5(self.path)
         self._stored: dict[str, Any] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
@@ -40,13 +40,13 @@ class Results:
         }
 
     def close(self) -> None:
-        """Lets go of the file."""
+        """Close the file."""
         self.data.close()
         self._stored.clear()
         self._file.close()
 
     def facts(self) -> dict[str, Any]:
-        """What there is to be shown, and in which words."""
+        """Return what can be shown, with labels and units."""
         data = self.data
         return {
             "path": str(self.path),
@@ -69,9 +69,10 @@ class Results:
         }
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Numbers and arrays of a frame, from 0 for the first one of the result.
+        """Return numbers and arrays of a frame, counted from 0 in the result; `shown` is a key or None.
 
-        Raises FingerflowError for what there is not.
+        Raises:
+            FingerflowError: no such frame or key.
         """
         self._within(frame)
         data = self.data
@@ -95,11 +96,11 @@ class Results:
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
-        """(M, 3) numbers of the points at their corners."""
+        """Return the indices (M, 3) of the points at the corners."""
         return np.asarray(self.data["triangles"].values, dtype=np.int32)
 
     def course(self, key: str) -> Values:
-        """(frames,) of a variable of frames, or "time"."""
+        """Return the time series (frames,) of a variable of frames, or of "time"."""
         if key == "time":
             return np.asarray(self.data["time"].values, dtype=np.float64)
         values = self._component(key, self.data[self._name(key)].dims, self.data[self._name(key)].values)
@@ -108,7 +109,7 @@ class Results:
         return values
 
     def of_points(self, key: str, points: Sequence[int]) -> Values:
-        """(frames, points) of a variable of points: their history."""
+        """Return the history (frames, points) of a variable, for unique points in rising order."""
         variable = self.data[self._name(key)]
         if variable.dims[:2] != ("frame", "point"):
             raise FingerflowError(f"{key} is not of points: choose a map of points")
@@ -118,7 +119,7 @@ class Results:
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
     def median_of_points(self, key: str, points: Sequence[int]) -> Values:
-        """(frames,) median over these points of what is not NaN."""
+        """Return the median (frames,) over these points, ignoring NaN."""
         from fingerflow.pipeline.stages.preparation.series import (
             nanmedian,  # with it comes torch: not before the first picture
         )
@@ -126,9 +127,9 @@ class Results:
         return nanmedian(self.of_points(key, points))
 
     def range_of(self, key: str) -> tuple[float, float]:
-        """Colours run from the first number to the second in all frames; about 0 where there is both sides of it.
+        """Return the range of colours for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
 
-        From 24 frames, without the 4 % of most extreme values on either side.
+        It is computed from 24 frames, without 4 % of the values at either end.
         """
         if key not in self._ranges:
             count = self.data.sizes["frame"]
@@ -145,7 +146,7 @@ class Results:
         return self._ranges[key]
 
     def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
-        """CSV, one row a frame: courses, and the median of chosen points."""
+        """Return a CSV table with one row a frame: time series, and the median over selected points."""
         columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
         columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
         if point_key and len(points):
@@ -154,7 +155,7 @@ class Results:
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """CSV, one row a point, and what is shown where that is of points; of triangles a row each."""
+        """Return a CSV table of a frame with one row a point, or one a triangle if `shown` is of triangles."""
         _, arrays = self.frame(frame, shown)
         if shown is not None and self.data[self._name(shown)].dims[1] == "triangle":
             corners = self.triangles()
@@ -169,14 +170,14 @@ class Results:
         return _csv(columns)
 
     def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """Everything of these dimensions, components one by one."""
+        """List all variables of these dimensions, one entry a component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
             if variable.dims[: len(dims)] != dims or name in _PLACES or any(dim not in LABELS for dim in rest):
                 continue
             parts = [""] if not rest else list(LABELS[str(rest[0])])
-            if rest == ("xy",) and name != "ellipse_center":  # a place has no length
+            if rest == ("xy",) and name != "ellipse_center":  # a position has no length
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
@@ -185,7 +186,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Factor that makes the largest displacements visible; 0 where there are none."""
+        """Return the factor, to one digit, that draws the largest displacements as 40 px; 0 without displacement."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")
@@ -205,7 +206,7 @@ class Results:
         return self._component(key, self.data[name].dims[1:], self._row(name, frame))
 
     def _row(self, name: str, frame: int) -> NDArray[Any]:
-        """A variable in one frame, as the file has it."""
+        """Return a variable in one frame as stored."""
         if name not in self._stored:
             self._stored[name] = self._file[name]
         row: NDArray[Any] = self._stored[name][frame]

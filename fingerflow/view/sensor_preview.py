@@ -1,4 +1,4 @@
-"""What `process` will find in a frame of a soft sensor: its markers, and where something touches."""
+"""Preview of the results of `process` for one frame of a soft sensor: markers and contact."""
 
 from dataclasses import replace
 from typing import Any
@@ -16,22 +16,23 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
 from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of
 
-_LOOKS = 32  # frames that tell how the gel rests
+_LOOKS = 32  # frames from which the gel's rest state is estimated
 
 
 class SensorPreviewer(Previewer):
-    """The stages of a soft sensor, run for the frame that is looked at and 32 that are spread over the recording.
+    """Stages of a soft sensor, run for the previewed frame and 32 frames spread over the recording.
 
-    Markers and their look are those of `process`, which finds them in each frame by itself. How the gel rests, and with
-    it the threshold of its light, is told from these few frames, so that the contact is nearly that of `process`.
+    Markers and their appearance are those of `process`, which finds them in each frame independently. The gel's rest
+    state, and with it the threshold of its light, is estimated from these few frames, so that the contact is nearly
+    that of `process`.
     """
 
-    _still: MarkerContactStage  # begun with those few frames
-    _markers: MarkerStage  # begun with the whole recording: knows the look of its markers
+    _still: MarkerContactStage  # begun with these few frames
+    _markers: MarkerStage  # begun with the whole recording: holds the appearance of its markers
 
     def _begin_contact(self, before: Previewer | None) -> None:
         self._found: dict[int, Seen] = {}
-        if isinstance(before, SensorPreviewer):  # light depends on the threshold alone, markers on nothing that differs
+        if isinstance(before, SensorPreviewer):  # markers do not depend on what differs
             self._markers, self._found = before._markers, before._found
         else:
             self._markers = MarkerStage(self._trial)
@@ -44,7 +45,7 @@ class SensorPreviewer(Previewer):
         self._contact = self._still
 
     def contact(self, frame: int) -> Preview:
-        """Of a frame, from 0 for the first one that counts."""
+        """Return the contact of a frame, counted from 0 for the first selected one."""
         if frame not in self._seen:
             frames = np.union1d(self._looks, [frame])
             place = int(np.searchsorted(frames, frame))
@@ -62,11 +63,11 @@ class SensorPreviewer(Previewer):
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
-        """Raises FingerflowError: all markers are followed."""
+        """Raise FingerflowError, as all markers are followed."""
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are chosen")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
-        """The stage of the contact of these frames alone, whose markers have been followed through them."""
+        """Return a contact stage of these frames only, with their markers followed."""
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
         trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})

@@ -1,4 +1,4 @@
-"""The server of the page: what is asked for, answered by a session."""
+"""HTTP server of the page, whose requests a session answers."""
 
 import socket
 import threading
@@ -32,14 +32,14 @@ Answer = Callable[[Request], Any]
 
 
 class Served:
-    """A page that is being served, until it is closed.
+    """Server of a page, until it is closed.
 
     Attributes:
-        address: what opens it, with its token.
+        address: URL that opens the page, with its token.
     """
 
     def __init__(self, path: Path | None, port: int = 0) -> None:
-        """Port 0 takes a free one. Raises FingerflowError for what cannot be opened, or a port that is taken."""
+        """Open a path and bind a port (0 for a free one); raise FingerflowError if either fails."""
         self.session = Session(open_path(path))
         self.session.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -49,7 +49,7 @@ class Served:
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise FingerflowError(f"port {port} of {_HOST} cannot be served ({error}); give another --port") from None
-        self._socket.listen()  # who asks before it runs waits, and is answered
+        self._socket.listen()  # requests before it runs wait in the queue
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
@@ -59,14 +59,14 @@ class Served:
         self._server = uvicorn.Server(config)
 
     def run(self) -> None:
-        """Serves until it is interrupted."""
+        """Serve until interrupted, then close the session."""
         try:
             self._server.run(sockets=[self._socket])
         finally:
             self.session.close()
 
     def __enter__(self) -> Self:
-        """Serves in a thread of its own."""
+        """Serve in a separate thread."""
         self._thread = threading.Thread(target=self.run, name="view")
         self._thread.start()
         return self
@@ -77,15 +77,15 @@ class Served:
 
 
 def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print) -> None:
-    """Serves the page of a scene, a recording or a result to this computer until it is interrupted.
+    """Serve the page of a scene, a recording or a result to this computer until interrupted.
 
     Args:
-        path: None for scene.toml in the current folder.
-        port: 0 takes a free one.
-        opened: is told the address, when it is answered.
+        path: scene, recording or result; None for scene.toml in the current folder.
+        port: 0 for a free one.
+        opened: called with the address once the port accepts connections.
 
     Raises:
-        FingerflowError: it cannot be opened, or the port is taken.
+        FingerflowError: the path cannot be opened, or the port is taken.
     """
     served = Served(path, port)
     opened(served.address)
@@ -93,7 +93,7 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
 
 
 def application(session: Session) -> Starlette:
-    """What is answered, whoever asks: `Guard` decides that."""
+    """Return the application with all routes; access control is left to `Guard`."""
     asked = session
 
     def number(request: Request, name: str) -> int:
@@ -115,7 +115,7 @@ def application(session: Session) -> Starlette:
 
     def report(_: Request) -> Response:
         page = asked.report_page()
-        # It stands alone: no request to anywhere, and not of this origin, whatever is in it.
+        # Sandboxed: the report can send no requests and is not of this origin, whatever it contains.
         rules = {"Content-Security-Policy": _REPORT_MAY}
         return Response(status_code=404) if page is None else Response(page, media_type="text/html", headers=rules)
 

@@ -1,4 +1,4 @@
-"""What the page looks at: a draft of a scene, a result, and what is opened of them. One request at a time."""
+"""Session of a page: draft of a scene, result, and their open files. A lock serialises requests."""
 
 import contextlib
 import json
@@ -25,14 +25,14 @@ from fingerflow.view.packing import packed
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.results import Results
 
-if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does without
+if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not need it
     from fingerflow.view.preview import Previewer
 
 Facts = dict[str, Any]
 
 
 class Session:
-    """Of one page; several windows see the same."""
+    """State behind one page; several windows share it."""
 
     def __init__(self, opened: Opened) -> None:
         self._lock = threading.RLock()
@@ -44,10 +44,10 @@ class Session:
         self._scene_of_result: Scene | None = None
         self._result_preview: Previewer | None = None
         self._columns: tuple[tuple[Path, int] | None, list[str]] = (None, [])
-        self._runs: dict[str, Command] = {}  # of `process` and of `report`, the last one of each
+        self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Opens what the page asks for first; what cannot be opened it says itself."""
+        """Open what the page requests first; errors are reported when the page requests it."""
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -55,13 +55,13 @@ class Session:
             self.setup()
 
     def ready(self) -> Facts:
-        """Loads what the first picture does without, while it is looked at: contact, points and forces come after."""
+        """Import the preview modules, which contact, points and forces need but the first picture does not."""
         import fingerflow.view.preview  # noqa: F401
 
         return {"ready": True}
 
     def close(self) -> None:
-        """Ends what runs, lets go of files."""
+        """End running commands and close files."""
         for run in self._runs.values():
             run.end()
         with self._lock:
@@ -73,7 +73,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """The draft: what it says, what is wrong with it, the recording."""
+        """Return the draft: its values, its problems, and facts about its recording."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -103,7 +103,7 @@ class Session:
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """A frame by its number in the file; with the contact that would be found, where the scene allows it."""
+        """Return a frame by its index in the file, packed, with the predicted contact if the scene is valid."""
         with self._lock:
             pictures = self._pictures_of_draft()
             _check_frame(frame, pictures.recording)
@@ -119,7 +119,7 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """The points that would be followed."""
+        """Return the points that would be seeded, packed."""
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -127,7 +127,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Forces of the draft against the time of the frames, what its calibration says, and warnings."""
+        """Return the draft's forces at the times of the frames, its calibration and warnings, packed."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -140,16 +140,16 @@ class Session:
             return packed(facts, {"time": previewer.times, **previewer.forces()})
 
     def calibration_picture(self) -> bytes | None:
-        """The picture that `fingerflow calibrate` has written beside the calibration of the draft."""
+        """Return the picture that `fingerflow calibrate` wrote beside the draft's calibration file, or None."""
         with self._lock:
             path = None if self._draft is None else _calibration_picture(self._draft)
             return None if path is None else path.read_bytes()
 
     def calibrate(self, asked: Mapping[str, Any]) -> Facts:
-        """Finds scale and transform in pictures, by the views of the draft, as `fingerflow calibrate` does.
+        """Calibrate from pictures in the views of the draft, as `fingerflow calibrate` does, and return the setup.
 
-        `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, files beside the scene; what it writes
-        there becomes the calibration of the draft.
+        `asked` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
+        folder; the calibration file written there becomes that of the draft.
         """
         from fingerflow.calibration import FILE, calibrate_files
 
@@ -175,9 +175,10 @@ class Session:
             return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is what stands in a field.
+        """Set keys of the draft, `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
 
-        Raises FingerflowError for those that cannot be set, after the others.
+        Raises:
+            FingerflowError: keys that cannot be set, after all others were set.
         """
         with self._lock:
             draft, refused = self._drafted(), []
@@ -194,7 +195,7 @@ class Session:
             return self.setup()
 
     def write(self, asked: Mapping[str, Any]) -> Facts:
-        """Writes the scene file; raises NeedsLeaveError where it would replace what nobody here has read."""
+        """Write the scene file; raise NeedsLeaveError if it would replace content that this page has not read."""
         with self._lock:
             name = asked.get("to")
             to = None if not name else self._drafted().path.parent / str(name)
@@ -204,9 +205,9 @@ class Session:
     # Processing.
 
     def process(self, asked: Mapping[str, Any]) -> Facts:
-        """Starts `fingerflow process` of the stored scene; what it writes is `result.h5` beside the scene.
+        """Start `fingerflow process` of the stored scene, which writes `result.h5` in its folder.
 
-        With `all`, also what is computed only where it is named: principal strains, shear.
+        With `all`, also request the variables computed only on request: principal strains, shear.
         """
         with self._lock:
             draft = self._drafted()
@@ -215,8 +216,8 @@ class Session:
             self._refuse_two()
             scene, to = load_scene(draft.path), draft.path.parent / RESULT
             arguments: list[str | Path] = ["process", draft.path, "--output", to]
-            self._close_result()  # some systems do not let an open file be replaced
-            if is_result(to) and _same_frames(to, scene):  # what still holds is taken from it
+            self._close_result()  # some systems cannot replace an open file
+            if is_result(to) and _same_frames(to, scene):  # reuses results that are still valid
                 arguments += ["--from", to]
             if asked.get("all"):
                 from fingerflow.view.outputs import all_of_default_stages
@@ -227,7 +228,7 @@ class Session:
             return self.progress("process")
 
     def report(self, asked: Mapping[str, Any]) -> Facts:
-        """Starts `fingerflow report` of the result: `report.html` and `overlay.mp4` beside its scene."""
+        """Start `fingerflow report` of the result, which writes `report.html` and `overlay.mp4` in the scene's folder."""
         del asked
         with self._lock:
             self._refuse_two()
@@ -236,19 +237,19 @@ class Session:
             return self.progress("report")
 
     def report_page(self) -> bytes | None:
-        """The report that was written; None before."""
+        """Return the report written in this session, or None."""
         run = self._runs.get("report")
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
     def end(self, asked: Mapping[str, Any]) -> Facts:
-        """Ends a run: of `process`, or of `report`."""
+        """End the run of `process` or of `report`, and return its progress."""
         of = str(asked.get("of"))
         if of in self._runs:
             self._runs[of].end()
         return self.progress(of)
 
     def progress(self, of: str) -> Facts:
-        """How far a run of `process` or `report` is."""
+        """Return the progress of the run of `process` or `report`."""
         if of not in self._runs:
             return {"running": False, "none": True}
         state = self._runs[of].state()
@@ -263,7 +264,7 @@ class Session:
     # Looking at results.
 
     def result(self) -> Facts:
-        """What the result holds, and where its views lie in the picture."""
+        """Return what the result holds, its scene's views, and facts about the recording."""
         with self._lock:
             result = self._opened_result()
             facts = result.facts()
@@ -279,7 +280,7 @@ class Session:
             return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
-        """A frame of the result, from 0 for the first one that counts, with its picture where that is still there."""
+        """Return a frame of the result (index from 0), packed, with its picture if the recording can be read."""
         with self._lock:
             result = self._opened_result()
             numbers, arrays = result.frame(frame, shown)
@@ -297,23 +298,23 @@ class Session:
             return packed(facts, arrays)
 
     def result_range(self, key: str) -> Facts:
-        """The range of colours of what is shown."""
+        """Return the range of colours of a key."""
         with self._lock:
             return {"key": key, "range": self._opened_result().range_of(key)}
 
     def triangles(self) -> bytes:
-        """Corners of the triangles."""
+        """Return the corners of the triangles, packed."""
         with self._lock:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Variables of frames."""
+        """Return time series by key, packed."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Of one point, its own values; of several, their median; and what became of each."""
+        """Return the history of one point with its status, or the median of several, and the number of known points."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
@@ -324,7 +325,7 @@ class Session:
             return packed({"key": key, "points": points}, {**arrays, "known": known})
 
     def table(self, asked: Mapping[str, Any]) -> str:
-        """CSV of the courses that are shown, or of the frame that is."""
+        """Return a CSV table of the shown time series, or of the shown frame."""
         with self._lock:
             result = self._opened_result()
             if asked["of"] == "frame":
@@ -339,7 +340,7 @@ class Session:
         return self._draft
 
     def _channels(self) -> list[str]:
-        """Columns of the draft's file of forces; none where it cannot be read, which is said where forces are drawn."""
+        """Return the columns of the draft's force file; none if it cannot be read, which `forces` reports."""
         file = self._drafted().values().get("forces", {}).get("file")
         path = self._drafted().path.parent / file if isinstance(file, str) and file else None
         try:
@@ -371,7 +372,7 @@ class Session:
         return self._preview[1]
 
     def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
-        """By the number in the file; nothing in frames that do not count."""
+        """Return the contact of a frame, by its index in the file; no arrays for frames that are not selected."""
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}
@@ -439,13 +440,13 @@ def _calibration_picture(draft: Draft) -> Path | None:
 
 
 def _same_frames(result: Path, scene: Scene) -> bool:
-    """Whether a result says that it is of the frames of a scene."""
+    """Return whether the recording settings of a result equal those of a scene."""
     with open_result(result) as earlier:
         return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
 
 
 def _value_of(value: Any) -> Any:
-    """A value of the page, or TOML of it."""
+    """Return a value of the page; TOML text is parsed, and kept as text if it is invalid."""
     if not isinstance(value, dict):
         return value
     try:

@@ -1,4 +1,4 @@
-"""Whether the compiled kernels serve tensors here and now."""
+"""Check whether the compiled kernels can take tensors in the present state of torch."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -12,18 +12,19 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def constant_to_compiler(function: _F) -> _F:
-    """Marks a function whose result torch's compiler takes as it is, without tracing it.
+    """Mark a function whose result the torch compiler takes as constant, without tracing the function.
 
-    As `torch.compiler.assume_constant_result` does, which loads the compiler for it: a quarter of what starting takes.
+    This does what `torch.compiler.assume_constant_result` does, without loading the compiler: a quarter of the start-up
+    time.
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
 
 
 def serve(*tensors: Tensor | None) -> bool:
-    """Whether the compiled kernels may take these tensors here and now.
+    """Return whether the compiled kernels may take these tensors in the present state of torch.
 
-    They do while torch compiles, as ops of torch's own (`torch_op`), not while it traces or exports the portable form.
+    They may while torch compiles, as registered ops (`torch_op`), but not while it traces or exports the portable form.
     """
     if torch.compiler.is_compiling():
         if torch.compiler.is_exporting() or not _is_present():
@@ -37,7 +38,7 @@ def serve(*tensors: Tensor | None) -> bool:
 
 
 def is_recorded() -> bool:
-    """Return whether somebody but torch's compiler records or changes what ops do."""
+    """Return whether a tracer, a dispatch mode or functorch, but not the compiler, records or changes ops."""
     return (
         torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
         or torch._C._len_torch_dispatch_stack() > 0

@@ -1,4 +1,4 @@
-"""Functions of kernels as ops of torch's own, which its compiler keeps whole."""
+"""Registration of functions of kernels as torch ops, which the torch compiler calls without tracing them."""
 
 import functools
 import inspect
@@ -13,25 +13,25 @@ from fingerflow.kernels.library import shapes_only
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-_CPU = torch.device("cpu")  # of all results, whatever torch's default device is
+_CPU = torch.device("cpu")  # device of all results, whatever the default device of torch is
 _OPS = torch.library.Library("fingerflow", "DEF")
 
 
 def torch_op(
     *, changes: tuple[str, ...] = (), shapes: Callable[..., Any] | None = None
 ) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
-    """Makes a function known to torch as `torch.ops.fingerflow.<name>`, which a compiler calls as a whole.
+    """Return a decorator that registers a function as `torch.ops.fingerflow.<name>`, opaque to the compiler.
 
-    Where nobody compiles it is called as it is; so it is where torch exports, to standard operators, and where a
-    derivative is wanted. The shapes that a compiler asks for come from the function itself, if it is one of kernels: it
-    runs on tensors without values, and what it calls of the library computes nothing (`shapes_only`). Its annotations
-    are the signature, a type variable a tensor: tensors and numbers in, a tensor or a tuple of them out, of which those
-    with two axes and more may be None. No result shares memory with another or with an argument.
+    Outside compilation the function is called directly, and so it is while torch exports (to standard operators) and if
+    a derivative is needed. The compiler infers the shapes of results from the function itself, if it is one of kernels:
+    it runs on tensors without values, and the library computes nothing (`shapes_only`). The signature is taken from the
+    annotations, a type variable standing for a tensor: tensors and numbers in, a tensor or a tuple of tensors out. Of
+    these, tensors with two or more axes may be None. No result shares memory with another or with an argument.
 
     Args:
         changes: names of the tensors that it writes to.
-        shapes: of a function of portable ops, on any device, whose course depends on data: what gives tensors like its
-            results from the same arguments.
+        shapes: needed for a function of portable ops, on any device, whose control flow depends on data: returns
+            tensors of the shapes and dtypes of its results from the same arguments.
     """
 
     def known(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -42,7 +42,7 @@ def torch_op(
         may_be_none = [type(None) in get_args(part) for part in parts]
 
         def whole(result: Any) -> Any:
-            """None is no result of an op: an empty tensor stands for it."""
+            """Replace None by an empty tensor, as an op cannot return None."""
             if kind is Tensor:
                 return cast(_R, result)
             return tuple(torch.empty(0, device=_CPU) if part is None else part for part in result)
@@ -77,25 +77,25 @@ def torch_op(
 
 
 def _derived(arguments: tuple[Any, ...]) -> bool:
-    """Whether somebody wants a derivative by one of them, which an op that is kept whole does not give."""
+    """Return whether a derivative with respect to an argument is needed, which an opaque op does not have."""
     tensors = (one for one in arguments if isinstance(one, Tensor))
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:
-    """What a tuple holds, named or not."""
+    """Return the types of the elements of a tuple, named or not."""
     named = _named(kind)
     return get_args(kind) if named is None else tuple(_of_tensors(part) for part in get_type_hints(named).values())
 
 
 def _named(kind: Any) -> Any:
-    """The class of named tuples, None for another kind."""
+    """Return the class of a named tuple, None for any other type."""
     named = get_origin(kind) or kind
     return named if hasattr(named, "_fields") else None
 
 
 def _of_tensors(annotation: Any) -> Any:
-    """The annotation with tensors for type variables."""
+    """Return the annotation with tensors in place of type variables."""
     if isinstance(annotation, TypeVar):
         return Tensor
     return annotation[Tensor] if getattr(annotation, "__parameters__", ()) else annotation

@@ -1,4 +1,4 @@
-"""Functions of kernels as ops of torch's, `torch.ops.fingerflow.<name>`, and what they take as torch names it."""
+"""Functions of kernels as torch ops, `torch.ops.fingerflow.<name>`, and the dtypes and sizes that they take."""
 
 from collections.abc import Iterable
 

@@ -60,9 +60,9 @@ def auc(
 ) -> Estimate:
     """Estimate the area under the ROC: the probability that a correct trial has the larger metric, ties counting half.
 
-    1/2 is chance; below 1/2 correct trials have the smaller metric. Arguments and errors as in `d_prime`. NaN with
-    the reason without a trial of either kind; no interval where the two kinds do not overlap, because every resample
-    then gives the same area.
+    1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason, if a kind has no
+    trial. There is no interval if the two kinds do not overlap, because every resample then gives the same area.
+    Arguments and errors are those of `d_prime`.
     """
     return _estimate(
         (correct, incorrect), lambda values: auc_statistic(*values), 1, participants, level, resamples, seed
@@ -101,7 +101,7 @@ def criterion_for_hits(
 ) -> Estimate:
     """Estimate the criterion that a given share of the correct trials exceeds, 75 % in Willemet et al. 2021.
 
-    In the metric's own unit, interpolated linearly between trials; no distribution is assumed.
+    The criterion is in the metric's unit, interpolated linearly between trials; no distribution is assumed.
 
     Raises:
         ValueError: hits is not between 0 and 1, or as in `d_prime`.

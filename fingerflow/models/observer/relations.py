@@ -1,6 +1,7 @@
 """Correlation, one-way analysis of variance and linear mixed model on columns of a table."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -59,7 +60,8 @@ class MixedModel:
 def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
     """Compute the linear correlation of pairs, with an interval by Fisher's transformation for independent pairs.
 
-    NaN with the reason for fewer than 4 pairs or a constant. Raises ValueError where the lengths differ.
+    The result is NaN, with the reason, for fewer than 4 pairs or a constant. Raises ValueError if the lengths differ or
+    the level is not between 0 and 1.
     """
     return _correlation(first, second, level, stats.pearsonr, 1.0)
 
@@ -76,7 +78,7 @@ def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correl
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
     """Test whether groups of trials differ in their mean. NaN values are left out and counted.
 
-    NaN with the reason for fewer than two groups of two trials, or values that do not vary within any.
+    The result is NaN, with the reason, for fewer than two groups of two trials, or no variation within any group.
 
     Raises:
         ValueError: values and groups differ in length.
@@ -122,7 +124,8 @@ def mixed_model(table: Mapping[str, ArrayLike], formula: str, level: float = 0.9
     frame = pd.DataFrame({name: np.asarray(table[name]) for name in table.keys()})  # noqa: SIM118 - as in read_trials
     if "participant" not in frame:
         raise FingerflowError(f"the table has no column participant: it has {', '.join(map(str, frame.columns))}")
-    used = [name for name in frame.columns if name == "participant" or str(name) in formula]
+    words = re.findall(r"\w+", formula)  # a column of another name may be a part of one of these
+    used = [name for name in frame.columns if name == "participant" or str(name) in words]
     whole = frame[used].dropna()
     participants = whole["participant"].nunique()
     if participants < 2:

@@ -43,7 +43,7 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
     Returns:
         float64 tensor of the broadcast shape: 1 without load, falling to `critical_stuck_area` at the critical load
-        where mu_k < mu_s, and to 0 where mu_k >= mu_s. Differentiable; the gradient of a NaN is 0. At the critical
+        where mu_k < mu_s, and to 0 where mu_k >= mu_s. It is differentiable; a NaN has gradient 0. At the critical
         load the slope is infinite: rounding of 1e-16 in the load changes the area by 1e-8. A load within rounding
         of the critical one is therefore treated as critical. The gradient there is that of 1 - (T/N) / mu_s, finite so
         that a fit which crosses it continues.

@@ -32,7 +32,7 @@ class FrictionFit:
         identified: True if the data determine both coefficients.
         reason: why not; empty if they do.
         area_noise, load_noise: standard deviations of d^2 and T/N from frame to frame.
-        frames: number of frames that the fit used.
+        frames: number of frames that the fit used, or could have used where nothing is identified.
         level, resamples, seed: of the intervals.
     """
 
@@ -119,9 +119,9 @@ def fit_friction(
     if area.size < _FEWEST:
         return answer(*nothing, f"{area.size} frames with d² and T/N, {_FEWEST} are needed")
     used = shrinking(area, load, noise)
-    if used.sum() < _FEWEST:
-        return answer(*nothing, f"the area shrinks in {used.sum()} frames, {_FEWEST} are needed")
     area, load = area[used], load[used]
+    if area.size < _FEWEST:
+        return answer(*nothing, f"the area shrinks in {area.size} frames, {_FEWEST} are needed")
     draws = _block_weights(area.size, resamples, seed)
     estimates = _derived(fit_family(PARTIAL_SLIP, area, load, noise, draws)[0])
     estimate = _derived(fit_family(PARTIAL_SLIP, area, load, noise, np.ones((1, area.size)))[0])[0]
@@ -194,15 +194,17 @@ def finite_frames(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values,
 
 
 def frame_noise(values: Values) -> float:
-    """Return the standard deviation of white noise, from second differences, which a slow change does not affect."""
-    second = np.diff(values, 2)
+    """Return the standard deviation of white noise, from second differences, which a slow change does not affect;
+    values that are not finite are left out.
+    """
+    second = np.diff(values[np.isfinite(values)], 2)
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
 
 
 def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
     """Return True for frames whose area is clearly below 1; near 1 noise is cut off, as a measured area is 1 at most.
 
-    Selected by the load: a selection by the noisy area itself would keep frames with errors to one side.
+    The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.
     """
     partly = (area > 0.5) & (area < 1 - 5 * noise[0])
     if not partly.any():

@@ -38,7 +38,7 @@ def traction(
 ) -> Tensor:
     """Return q(x, y) where the inner ellipse x^2/a^2 + y^2/b^2 <= d^2 sticks (equations 2 and 3 of the same paper).
 
-    Uniform in the stick region, at mu_s times the pressure on its border; mu_k p around it. Its
+    The traction is uniform in the stick region, mu_s times the pressure on its border, and mu_k p around it. Its
     integral over the contact is `load_ratio(stuck_area, mu_s, mu_k)` times the normal force.
 
     Args:

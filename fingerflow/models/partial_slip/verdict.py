@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
 from fingerflow.models.partial_slip.evolution import friction_ratio
+from fingerflow.models.partial_slip.fit import frame_noise
 
 Values = NDArray[np.float64]
 Outcome = Literal["vanishes abruptly", "diminishes", "inconclusive"]
@@ -134,7 +135,7 @@ def judge_trial(
         return replace(found, reason=f"T/N is {reference:.2f} at the complete loss: the sign of a force is wrong")
     loading = load[: loss + 1][np.isfinite(load[: loss + 1])]
     fall = float((np.maximum.accumulate(loading) - loading).max()) / reference
-    noise = _frame_noise(np.asarray(load_ratio, float)[: loss + 1]) / reference
+    noise = frame_noise(np.asarray(load_ratio, float)[: loss + 1]) / reference
     found = replace(found, steepest_fall=fall, load_noise=noise)
     if fall > _LARGEST_FALL:
         return replace(
@@ -224,9 +225,3 @@ def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known
-
-
-def _frame_noise(values: Values) -> float:
-    """Return the standard deviation of white noise, from second differences, which a slow change does not affect."""
-    second = np.diff(values[np.isfinite(values)], 2)
-    return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
