@@ -1,6 +1,6 @@
 // Positions corrected for the deformation of the skin (fingerflow/ops/tracking/deformation.py). A local linear fit to
 // the displacements gives the warp F = I + grad u at each point, a second fit to these gradients gives u's second
-// derivatives; correct_block takes their effect on a template's position off.
+// derivatives; correct_block subtracts their effect on a template's position.
 // Layout: points are their own queries, in blocks of kFitBlock, one a lane. A record of a point and frame is 1 (usable)
 // or 0 and its values less their mean; `second_` is (frames, points, 4 gradient components, 2 directions).
 #include <algorithm>

@@ -1,6 +1,6 @@
 // Illumination gain of each frame (fingerflow/ops/contact/light_gain.py): the uppermost mode of the quotients
 // sum(frame - black) / sum(light) of blocks of side x side px. It is found by four means within a shrinking width
-// around the kTop quantile, and is NaN where too few blocks lie at the mode or too many just below it.
+// around the largest kTop of the quotients, and is NaN where too few blocks lie at the mode or too many just below.
 // Layout: every kStep-th line is read; `Blocks` holds four arrays of (rows of blocks, columns of blocks) floats a
 // frame. A row of blocks of all frames is one piece for a thread.
 #include <algorithm>

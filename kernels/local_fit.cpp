@@ -2,8 +2,8 @@
 // plane with weights (1 - r^2 / radius^2)^2.
 // Queries near each other go in one block, so that few points beyond the radius are visited.
 // Layout: a record of a frame and point is [1 if usable, values less their mean, noise], contiguous; an unusable one is
-// zero. Blocks hold kFitBlock queries, one a lane (local_fit_block.h). Where all frames share points and queries, so do
-// they the blocks.
+// zero. Blocks hold kFitBlock queries, one a lane (local_fit_block.h), and serve all frames that share points and
+// queries.
 #include <algorithm>
 #include <cmath>
 #include <limits>

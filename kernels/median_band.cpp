@@ -1,7 +1,7 @@
 // build: each instruction set
 // Medians of a band of rows, by networks of minima and maxima: compiled ones (median_networks.h, written by
 // generate_median.py) for small windows, for others a table of steps (fingerflow/kernels/median_rows.py).
-// A network works on planes with one value a tile of 1 x 1 to 8 x 2 pixels; it goes down a strip of the band, one row
+// A network works on planes with one value for each tile of up to 8 x 2 px; it goes down a strip of the band, one row
 // of tiles after the other, and keeps of each plane only the rows that later steps read.
 // Layout: one tile a lane. Lines of the frame are padded by half a window and, for tiles of two columns, split into
 // even and odd columns. Workspace: rings of kept rows, scratch slots, one line, the prepared lines.

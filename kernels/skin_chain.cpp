@@ -1,5 +1,5 @@
 // Skin chains pressed, and derivatives back along the recorded steps (fingerflow/models/skin_implicit.py,
-// skin_adjoint.py).
+// skin_adjoint.py). The equations are in skin_chain_press.cpp.
 // Layout: arrays of doubles with the batch of chains first; a group of chains fills the lanes of a vector, one group a
 // piece. A chain alone, and derivatives, run in scalars.
 

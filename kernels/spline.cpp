@@ -1,4 +1,5 @@
-// Spline coefficients of frames (fingerflow/ops/filters/spline.py), in pieces of 32 rows that threads share.
+// Spline coefficients of frames, pixels smoothed by [1 2 1]' [1 2 1] / 16 (fingerflow/ops/filters/spline.py), in pieces
+// of 32 rows that threads share.
 // Layout: coefficients are floats, contiguous (batch, height, width).
 #include <algorithm>
 

@@ -1,5 +1,5 @@
-// Register subsets (templates) prepared and found in frames (fingerflow/ops/tracking/templates.py): points are divided
-// into pieces that threads share.
+// Subsets (templates) prepared, and registered in frames (fingerflow/ops/tracking/templates.py): points are divided
+// into pieces that threads share. The equations are in templates_points.cpp.
 // Layout: samples (P, 3, n, n) hold values, gx and gy of a template, template statistics (P, 32). Points are processed
 // in bands of kBandPx rows, then by column, since windows of neighbours overlap and share cache lines.
 #include <algorithm>

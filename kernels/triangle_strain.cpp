@@ -1,4 +1,5 @@
-// Strain of triangles and its energy, one frame a piece (fingerflow/ops/fields/triangle_strain.py).
+// Strain of triangles and its energy, one frame a piece (fingerflow/ops/fields/triangle_strain.py). The equations are
+// in triangle_strain_frame.cpp.
 // Layout: triangles are arrays (triangles) or (3, triangles) by corner; points (points, 2) and (points, 2, 2) a frame.
 
 #include "interface.h"

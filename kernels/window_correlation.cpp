@@ -1,4 +1,5 @@
-// Deformed windows sampled for subset verification (fingerflow/ops/tracking/window_correlation.py), 32 windows a piece.
+// Deformed windows image(place + warp w), sampled for subset verification, 32 windows a piece
+// (fingerflow/ops/tracking/window_correlation.py).
 // Layout: places (windows, 2), warp (windows, 2, 2), results (windows, side, side) floats.
 #include <algorithm>
 

@@ -218,7 +218,7 @@ class Engine(Protocol):
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Return the contact for thresholds (K,) of relative intensity loss: above it a pixel touches; NaN for none."""
+        """Return the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:

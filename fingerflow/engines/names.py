@@ -1,7 +1,8 @@
 """Names of the graphs of a deployment bundle."""
 
-#: Graphs of a deployment bundle that an engine needs, in an order in which they can run.
-GRAPHS = (
+from typing import Literal, get_args
+
+GraphName = Literal[
     "light",
     "contact",
     "threshold",
@@ -20,4 +21,6 @@ GRAPHS = (
     "fields",
     "fields_entered",
     "fit",
-)
+]
+#: In an order in which an engine can run them.
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)

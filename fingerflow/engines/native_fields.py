@@ -34,7 +34,7 @@ def fields_of_frames(
             left out of the fits of other points.
 
     Raises:
-        ValueError: wrong dtype, inconsistent shapes, or an unknown measure or gauge length out of range.
+        ValueError: wrong dtype, inconsistent shapes, an unknown measure, or a gauge length out of range.
     """
     batch, count = _check(reference, displacement, covariance, entered)
     if measure not in limits.STRAIN_MEASURES:

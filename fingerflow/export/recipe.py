@@ -2,34 +2,15 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from fingerflow.engines.names import GRAPHS as GRAPHS
+from fingerflow.engines.names import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 from fingerflow.export.strict import Odd, StrictBool, StrictInt, StrictNumber
 
-GraphName = Literal[
-    "light",
-    "contact",
-    "threshold",
-    "noise",
-    "detect",
-    "spline",
-    "prepare",
-    "renew",
-    "track",
-    "track_few",
-    "support",
-    "correct",
-    "outliers",
-    "search",
-    "windows",
-    "fields",
-    "fields_entered",
-    "fit",
-]
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)  # in a valid order of execution
 _LARGEST_SIDE = 4096  # px: counts of pixels are exact in float32 up to 2^24
 
 

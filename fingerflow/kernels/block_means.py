@@ -19,7 +19,7 @@ def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) 
     pixel of `steps[1]` is read; `blocks` are the numbers of rows and columns of blocks.
 
     Raises:
-        TypeError, ValueError: another dtype, or more blocks than are read.
+        TypeError, ValueError: wrong dtype, or more blocks than are read.
     """
     check_frames(frames)
     read = [len(range(step // 2, side, step)) for side, step in zip(frames.shape[2:], steps, strict=True)]

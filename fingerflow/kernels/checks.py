@@ -33,7 +33,7 @@ def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
     """Check an array and return it contiguous.
 
     Raises:
-        ValueError: another dtype or shape.
+        ValueError: wrong dtype or shape.
     """
     check_like(name, array, of, shape)
     return in_one_piece(array)
@@ -67,7 +67,7 @@ def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
     """Check frames and their light, and return the fields of `fingerflow_lit_frames`, with contiguous rows.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(frames)
     for name, image in (("light", light), ("black", black)):

@@ -54,7 +54,7 @@ def median(frames: Array, size: int) -> Array:
     """Return the median of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 31.
+        TypeError, ValueError: wrong dtype or shape, or a size that is even or outside 3 to 31.
     """
     check_frames(frames, MEDIAN_KINDS)
     if not 3 <= size <= LARGEST_MEDIAN or size % 2 == 0:
@@ -131,7 +131,7 @@ def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bin
     `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or fewer bins than levels without `bin_of_level`.
+        TypeError, ValueError: wrong dtype or shape, or fewer bins than levels without `bin_of_level`.
     """
     check_frames(frames, COUNTED_KINDS)
     levels = 1 << 8 * _BYTES[kind(frames)]
@@ -164,7 +164,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
     """Return Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
 
     Raises:
-        ValueError: another dtype or shape.
+        ValueError: wrong dtype or shape.
     """
     batch = counts.shape[0]
     check_like("counts", counts, "int64", (batch, 256))
@@ -177,7 +177,7 @@ def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Arra
     """Dilate a mask (B, 1, H, W) bool, or erode it with `of_background`, by an element of rows of these half widths.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or rows that do not grow towards the middle.
+        TypeError, ValueError: wrong dtype or shape, or rows that do not grow towards the middle.
     """
     check_frames(mask, ("bool",))
     rows, radius = list(half_widths), len(half_widths) // 2
@@ -202,7 +202,7 @@ def fill_holes(mask: Array) -> Array:
     """Return the mask (B, 1, H, W) bool with its holes filled, as `ops.contact.components`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape.
+        TypeError, ValueError: wrong dtype or shape.
     """
     check_frames(mask, ("bool",))
     mask = rows_in_one_piece(mask)
@@ -215,7 +215,7 @@ def largest_component(mask: Array) -> Array:
     """Return the largest connected component of the mask (B, 1, H, W) bool, as `ops.contact.components`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape.
+        TypeError, ValueError: wrong dtype or shape.
     """
     check_frames(mask, ("bool",))
     mask = rows_in_one_piece(mask)
@@ -231,7 +231,7 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
     and angle. `side` is one of CELLS.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or cells that are not among these.
+        TypeError, ValueError: wrong dtype or shape, or cells that are not among these.
     """
     if side not in CELLS or radius < 1:
         raise ValueError(f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px")
@@ -258,7 +258,7 @@ def mask_moments(mask: Array) -> Array:
     """Return the moments (B, 6) int64, sums over a mask (B, 1, H, W) bool, as `ops.contact.ellipse`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or more than WIDEST_MOMENTS columns.
+        TypeError, ValueError: wrong dtype or shape, or more than WIDEST_MOMENTS columns.
     """
     mask = _narrow_mask(mask)
     moments = empty(mask, "int64", mask.shape[0], 6)

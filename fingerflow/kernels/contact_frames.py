@@ -49,7 +49,7 @@ def contact_of_frames(
         cell: px, side of its cells, one of CELLS.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes or sizes that do not fit.
+        TypeError, ValueError: wrong dtype, inconsistent shapes or sizes.
     """
     _check_sizes(median_px, radius)
     if cell not in CELLS or cell > 2 * radius + 1:
@@ -96,7 +96,7 @@ def contact_threshold(
         stride_px: step in x and y by which pixels are counted.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes or sizes that do not fit.
+        TypeError, ValueError: wrong dtype, inconsistent shapes or sizes.
     """
     _check_sizes(median_px, radius)
     if stride_px < 1:
@@ -129,7 +129,7 @@ def covered(density_margin: Array, points: Array, transform: Array, cell: int) -
         transform: (2, 3) float32, to the pixels of the contact view.
 
     Raises:
-        ValueError: another dtype, or shapes that do not fit.
+        ValueError: wrong dtype, or inconsistent shapes.
     """
     if density_margin.ndim != 4 or density_margin.shape[1] != 1 or 0 in density_margin.shape[2:] or cell < 1:
         raise ValueError(

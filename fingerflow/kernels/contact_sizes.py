@@ -1,4 +1,4 @@
-"""Sizes for the contact from the radius of a pattern (half its ridge distance or a little more); limits of lit glass."""
+"""Sizes for the contact from the radius of a pattern: half its ridge distance or a little more. Limits of lit glass."""
 
 # The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
 FULL_LIGHT = 0.99

@@ -1,4 +1,4 @@
-"""Kernel of positions corrected for the deformation of the skin."""
+"""Kernel that corrects positions for the deformation of the skin."""
 
 from typing import Generic, NamedTuple
 
@@ -12,14 +12,14 @@ __all__ = ["CorrectedPoints", "correct_points"]
 
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
-    """N points of K frames, corrected for the deformation of the skin; of the kernel all float32.
+    """N points of K frames, corrected for the deformation of the skin; the kernel returns float32.
 
     Attributes:
         points: (K, N, 2) px.
-        covariance: (K, N, 2, 2) px^2, without what the residual owes to the deformation.
+        covariance: (K, N, 2, 2) px^2, without the part of the residual that is due to the deformation.
         warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
         shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
-        expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
+        expected: (K, N, 2) px, position predicted from the neighbours of a point; NaN where too few are known.
     """
 
     points: Array
@@ -51,7 +51,7 @@ def correct_points(
         gauge_px: diameter of the local fits.
 
     Raises:
-        ValueError: another dtype or shape.
+        ValueError: wrong dtype or shape.
     """
     frames, count = points.shape[0], start.shape[0]
     check_like("start", start, "float32", (count, 2))

@@ -1,6 +1,7 @@
-"""What makes a point worth tracking (`graphs.detect`)."""
+"""Limits for points worth tracking (`graphs.detect`)."""
 
-BOX = 5  # px, of the structure tensor: a corner must be local: averaged over a tracking window few are left apart
+# px, side of the structure tensor's box. A corner must be local: over a tracking window few distinct ones would remain.
+BOX = 5
 QUALITY = 0.01  # least share of the strongest response
 NOISE = 12 / 64 * (1 + 18 / BOX)  # response of pure noise of variance 1 that no window reaches (`ops.tracking.corners`)
-LEAST_SIDE = BOX + 2  # px of a frame: below it has no structure tensor
+LEAST_SIDE = BOX + 2  # px, smallest side of a frame that has a structure tensor

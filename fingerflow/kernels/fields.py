@@ -1,4 +1,4 @@
-"""Kernels of fields at points: local fits, medians over an area, strain of triangles."""
+"""Kernels of fields at points: local fits, medians over the contact area, strain of triangles."""
 
 from collections.abc import Sequence
 from typing import Generic, NamedTuple
@@ -21,7 +21,7 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """As `ops.fields.local_fit.LocalFit` has them."""
+    """Results of local fits, defined as in `ops.fields.local_fit.LocalFit`."""
 
     value: Array
     gradient: Array
@@ -40,13 +40,13 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Planes fitted as `ops.fields.local_fit` has it, to rounding: sums run in another order.
+    """Fit planes as `ops.fields.local_fit` does, to rounding, as sums run in another order.
 
-    Points (B, N, 2), values (B, N, C), queries (B, Q, 2) and noise (B, N, 1 or C * C) share a dtype, float32 or
-    float64; a batch is that of the results, or 1.
+    `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C * C) share a dtype, float32 or
+    float64. B is that of the results, or 1.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     given = {"points": points, "values": values, "queries": queries, "noise": noise}
     (count, components), total, dtype = values.shape[1:], queries.shape[1], kind(points)
@@ -106,15 +106,22 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Medians (B, 5) over ellipses, their deviations and the share of positions (B,) in which they are known, as
-    `ops.fields.area_medians` has them to rounding; all float32.
+    """Return medians of the fields over ellipses, as `ops.fields.area_medians` does to rounding; all float32.
 
-    Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
-    (B, N, 2, 2); `apart` (B, N) bool with fields and deviations (B, N, 5), these where there is a covariance; measure 0
-    to 2, radius of the support of a fit, limits of `field_limits`.
+    The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
+    positions in an ellipse where the fields are known.
+
+    Args:
+        reference, displacement: (1 or B, N, 2) and (B, N, 2).
+        ellipses: (B, 6), centre, semi axes, cosine and sine of the angle.
+        covariance: (B, N, 2, 2) of the displacements, or None.
+        apart: (B, N) bool, points with fields of their own, or None.
+        apart_fields, apart_std: (B, N, 5) of these points; the deviations if there is a covariance.
+        measure: index into `field_limits.STRAIN_MEASURES`.
+        radius: of the support of a fit.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     batch, count = displacement.shape[:2]
     references = reference.shape[0]
@@ -178,16 +185,18 @@ def triangle_strain(
     measure: int,
     stiffness: Sequence[float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Strain (B, M, 3), its deviation, density (B, M) and energy (B,) float64, as `ops.fields.triangle_strain` has them
-    to rounding; the forces (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each
-    adds to the energy.
+    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain` does to rounding.
 
-    Triangles (M, 3) int64, slopes (M, 3, 2), products (3, 3, M) xx, xy, yy of the corners' slopes with those of what
-    shares their errors, areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2), all float32;
-    in_contact (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
+    The results are strain (B, M, 3), its standard deviation, energy density (B, M), energy (B,) float64, forces
+    (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each point adds to the energy.
+
+    `triangles` is (M, 3) int64 and `in_contact` (B, M) bool. All others are float32: `slopes` (M, 3, 2), `products`
+    (3, 3, M) xx, xy, yy of the corners' slopes with those of what shares their errors, `areas` (M,), `flat` (M,),
+    `displacement` (B, N, 2), `covariance` (B, N, 2, 2). `measure` is 0 to 2; `stiffness` has the factors of
+    exx^2 + eyy^2, exx eyy and exy^2.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, triangles of points out of range.
     """
     (batch, points), count = displacement.shape[:2], triangles.shape[0]
     check_like("triangles", triangles, "int64", (count, 3))

@@ -25,12 +25,12 @@ __all__ = [
     "level_shapes",
 ]
 
-# Of tensor, right, down, inverse and inside: channels, and rows and columns beside those of the level.
+# Channels of tensor, right, down, inverse and inside, and their rows and columns relative to those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """What dense flow takes from a first image."""
+    """Fields of the first image that dense flow needs."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask
@@ -42,7 +42,7 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class Left(NamedTuple, Generic[Array]):
-    """What a flow leaves unexplained, on cells (B, ., h, w)."""
+    """Residual that a flow leaves unexplained, on cells (B, ., h, w)."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -51,7 +51,7 @@ class Left(NamedTuple, Generic[Array]):
 
 
 class AtPixels(NamedTuple, Generic[Array]):
-    """Of every pixel."""
+    """Displacement, covariance and residual of every pixel."""
 
     displacement: Array  # (B, 2, H, W)
     covariance: Array  # (B, 2, 2, H, W)
@@ -69,11 +69,13 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """(B, 2, H, W), as `ops.flow.flow_descent.descended` has it to rounding, of the planes of all levels, five of each
-    from the finest on: tensor, right, down, inverse, inside, all float32; weights of the window of its course.
+    """Return the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_descent.descended` to rounding.
+
+    `planes` are five for each level, the finest first: tensor, right, down, inverse, inside, all float32. `weights` are
+    those of the window for the trend of the flow.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     batch, _, height, width = pull.shape
     check_like("pull", pull, "float32", (batch, 2, height, width))
@@ -111,15 +113,17 @@ def flow_descend(
 
 
 def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """What `ops.flow.flow_multigrid.pyramid` makes of the finest of so many levels, to rounding: (N,) of the inverse of
-    the finest (B, 3, H, W), then of tensor, right, down, inverse and inside of each coarser one, one behind the other.
+    """Compute the levels of `ops.flow.flow_multigrid.pyramid` from the finest one, to rounding, as one array (N,).
+
+    It holds the inverse of the finest level (B, 3, H, W), then tensor, right, down, inverse and inside of each coarser
+    one, concatenated.
 
     Args:
         tensor, right, down, inside: float32 (B, 3, H, W), (B, 1, H, W - 1), (B, 1, H - 1, W) and (B, 1, H, W).
-        count: of levels, at least 1.
+        count: number of levels, at least 1.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
@@ -144,7 +148,7 @@ def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: 
 
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
-    """Of tensor, right, down, inverse and inside of so many levels, the finest (height, width)."""
+    """Return the shapes of tensor, right, down, inverse and inside of `count` levels, the finest (height, width)."""
     levels: list[list[tuple[int, ...]]] = []
     for _ in range(count):
         levels.append([(batch, channels, height + rows, width + columns) for channels, rows, columns in _PLANES])
@@ -153,11 +157,13 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
 
 
 def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """(B, 3, H, W), as `ops.flow.flow_covariance` has it, of tensors (B, 3, H, W) and of each image (B,) the density of
-    noise, alpha, and the eigenvalue above which texture is known; float32. Its exponentials are to 2e-7.
+    """Return the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exponentials to 2e-7.
+
+    `tensor` is (B, 3, H, W). `density` of the noise, `alpha`, and `textured`, the eigenvalue above which texture is
+    known, are (B,), one for each image. All are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     batch, _, height, width = tensor.shape
     check_like("tensor", tensor, "float32", (batch, 3, height, width))
@@ -180,10 +186,12 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """As `ops.flow.dense_flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
+    """Return the fields of the first image, as `ops.flow.dense_flow`.
+
+    Spline coefficients and mask are (B, 1, H, W) float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape
@@ -215,11 +223,13 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> Left[Array]:
-    """As `ops.flow.dense_flow` has it: of images (B, 1, H, W) coefficients, value, gradient (B, 2, H, W) and inside, of
-    cells (B, ., h, w) a flow and where it is known, all float32.
+    """Return the residual of a flow, as `ops.flow.dense_flow`.
+
+    `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
+    (B, ., h, w) lie on cells. All are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape
@@ -258,11 +268,12 @@ def flow_left(
 
 
 def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
-    """Weighted means (B, C, H, W) along rows and columns of float32 fields, 0 beyond the border; an odd number of
-    weights that are the same from the middle to either end.
+    """Return weighted means (B, C, H, W) along rows and columns of float32 fields, which are 0 beyond the border.
+
+    `weights` are an odd number, symmetric about the middle.
 
     Raises:
-        TypeError, ValueError: another dtype or shape.
+        TypeError, ValueError: wrong dtype or shape.
     """
     batch, channels, height, width = fields.shape
     check_like("fields", fields, "float32", (batch, channels, height, width))
@@ -280,10 +291,12 @@ def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
 
 
 def flow_to_cells(fields: Array, inside: Array) -> Array:
-    """Means (B, 2, h, w) over cells of 2 x 2 of what is finite of float32 fields (B, 2, H, W) inside (B, 1, H, W).
+    """Return means (B, 2, h, w) over cells of 2 x 2 px of float32 fields (B, 2, H, W) inside a mask (B, 1, H, W).
+
+    Values that are not finite are left out.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
@@ -302,10 +315,12 @@ def flow_to_cells(fields: Array, inside: Array) -> Array:
 
 
 def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
-    """(B, 2, height, width), as `ops.flow.flow_cells.to_pixels` has it to rounding, of cells (B, ., h, w), float32.
+    """Interpolate a flow on cells (B, ., h, w) to pixels (B, 2, height, width), as `ops.flow.flow_cells.to_pixels`.
+
+    The results agree to rounding. All are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(known, ("float32",))
     batch, cells = known.shape[0], ((height + 1) // 2, (width + 1) // 2)
@@ -325,11 +340,12 @@ def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
 
 
 def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> AtPixels[Array]:
-    """Results at the pixels inside (B, 1, H, W), of cells (B, ., h, w) of a flow, of covariance (xx, xy, yy) and
-    residual, and of where they are known; float32.
+    """Return the results at the pixels `inside` (B, 1, H, W) from those on cells (B, ., h, w), all float32.
+
+    On cells are `flow`, `others`, which holds covariance (xx, xy, yy) and residual, and `known`, where they are known.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
@@ -351,16 +367,18 @@ def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> A
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """The middle weight and those behind it."""
+    """Return the middle weight with those after it, and the number of the latter."""
     half = len(weights) // 2
     return {"weights": np.array(weights[half:], np.float32), "half": half}
 
 
 def flow_warp(coefficients: Array, flow: Array) -> Array:
-    """(B, 1, H, W), the spline of coefficients (B, 1, H, W) at pixels displaced by a finite flow (B, 2, H, W), float32.
+    """Return the values (B, 1, H, W) of a spline at pixels displaced by a finite flow (B, 2, H, W), all float32.
+
+    `coefficients` of the spline are (B, 1, H, W).
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape

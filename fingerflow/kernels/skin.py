@@ -29,15 +29,18 @@ def press_skin(
     duration: float,
     record_steps: int = 0,
 ) -> tuple[Array, Array, Array]:
-    """Goes on with B chains of N elements, as `models.skin_implicit.advance` does, to rounding; all float64, SI units.
+    """Advance B chains of N elements in time, as `models.skin_implicit.advance` does, to rounding; float64, SI units.
 
-    Reference (B, N, 2), numbers (B, 10) in the order of `models.skin_forces.Chain`, friction (B, N),
-    load (B, 2, 2) first and last, rest (B,). Place (B, N, 2), bone (B, 2), rubbed (B, N) and step (B,) are changed.
-    Gives time (B,), counts (B, 3) int64 of steps, rejected ones and iterations, and of up to ``record_steps`` steps
-    (B, record_steps, 2 + 2 (3 N + 2)) time, length, and of both stages place, bone and friction.
+    Inputs are `reference` (B, N, 2), `numbers` (B, 10) in the order of `models.skin_forces.Chain`, `friction` (B, N),
+    `load` (B, 2, 2), first and last, and `rest` (B,). The state `place` (B, N, 2), `bone` (B, 2), `rubbed` (B, N) and
+    `step` (B,) is changed in place.
+
+    Returns:
+        Time (B,), counts (B, 3) int64 of steps, rejected ones and iterations, and a record (B, record_steps,
+        2 + 2 (3 N + 2)) of up to `record_steps` steps: time, length, and place, bone and friction of both stages.
 
     Raises:
-        ValueError: another dtype, or shapes that do not belong together.
+        ValueError: wrong dtype, or inconsistent shapes.
     """
     batch, count = friction.shape
     shapes = {"reference": (batch, count, 2), "numbers": (batch, 10), "friction": (batch, count), "load": (batch, 2, 2)}
@@ -83,14 +86,18 @@ def press_skin_back(
     *,
     held: Sequence[bool],
 ) -> tuple[Array, Array, Array]:
-    """Derivatives back along the record of `press_skin`, to rounding what `models.skin_adjoint` gives.
+    """Propagate derivatives backward along the record of `press_skin`, as `models.skin_adjoint` does to rounding.
 
-    Arguments as there, ``place``, ``bone`` and ``rubbed`` those at the beginning; ``wanted`` (B, 3 N + 2) of places,
-    bone and friction at the end, ``steps`` (B,) int64 of the record. Gives those of stiffnesses (B, 6), of friction
-    (B, N) and, as wanted, of the beginning (B, 3 N + 2).
+    Arguments are those of `press_skin`, with `place`, `bone` and `rubbed` at the beginning. `wanted` (B, 3 N + 2) are
+    the derivatives with respect to place, bone and friction at the end, `steps` (B,) int64 the numbers of recorded
+    steps.
+
+    Returns:
+        Derivatives with respect to the stiffnesses (B, 6), to friction (B, N), and to the state at the beginning
+        (B, 3 N + 2), in the order of `wanted`.
 
     Raises:
-        ValueError: another dtype, shapes that do not belong together, or more steps than the record has.
+        ValueError: wrong dtype, inconsistent shapes, or more steps than the record has.
     """
     batch, count = friction.shape
     size, rows = 3 * count + 2, record.shape[1]

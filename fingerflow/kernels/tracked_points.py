@@ -39,7 +39,7 @@ class NeighbourLists(NamedTuple):
     Attributes:
         number: int32.
         x, y: offset from the point, float32; 0 where the neighbour does not count.
-        within: 1 where it lies within the gauge length and is known, else 0, float32.
+        within: float32, 1 where it lies within the gauge length and is known, else 0.
     """
 
     number: Array
@@ -49,7 +49,7 @@ class NeighbourLists(NamedTuple):
 
 
 class OutlierFlags(NamedTuple):
-    """(K, N) bool each, as `ops.tracking.outliers.Outliers`."""
+    """Masks (K, N) of outliers, as in `ops.tracking.outliers.Outliers`."""
 
     off_neighbours: Array
     uncertain: Array
@@ -63,7 +63,7 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
         gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
 
     Raises:
-        ValueError: fewer than 2 points, another dtype or shape.
+        ValueError: fewer than 2 points, wrong dtype or shape.
     """
     count = len(positions)
     if count < 2:
@@ -100,7 +100,7 @@ def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std:
         position_std: (K, N) float32, standard deviation of a component.
 
     Raises:
-        ValueError: another dtype or shape.
+        ValueError: wrong dtype or shape.
     """
     frames, count = displacement.shape[:2]
     most, stride = neighbours.number.shape
@@ -209,7 +209,7 @@ def search_and_return(
 
 
 class DetectedPoints(NamedTuple):
-    """Points (n, 2) px and their response (n,), float32, strongest first; NaN behind the last."""
+    """Points (n, 2) px and their response (n,), float32, strongest first, padded with NaN."""
 
     points: Array
     response: Array
@@ -226,7 +226,7 @@ def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: flo
         window: px, side of the tracking window, which stays inside the frame.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, fewer than 1 point.
+        TypeError, ValueError: wrong dtype or shape, fewer than 1 point.
     """
     check_frames(frame)
     (images, _, height, width) = frame.shape

@@ -53,7 +53,7 @@ def prepare_templates(
     `variance` (B,) are float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(image)
     batch, count = image.shape[0], points.shape[1]
@@ -117,7 +117,7 @@ def find_templates(
     `place` + `speed`, both (B, N, 2), px and px a frame. `variance` (K B,) is float32.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(frames)
     (batch, count), total = place.shape[:2], frames.shape[0]
@@ -198,7 +198,7 @@ def find_pairs(
     of FRAME_KINDS; `variance` (B,) is that of both.
 
     Raises:
-        TypeError, ValueError: another dtype, or shapes that do not belong together.
+        TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(previous)
     check_like("current", current, kind(previous), tuple(previous.shape))
@@ -254,7 +254,7 @@ def halve(frames: Array) -> Array:
     """Return means of 2 x 2 px (B, 1, H // 2, W // 2) float32 of frames of FRAME_KINDS, as `ops.tracking.search`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or frames below 3 x 3 px.
+        TypeError, ValueError: wrong dtype or shape, or frames below 3 x 3 px.
     """
     frames = _kernel_frames(frames)
     batch, _, height, width = frames.shape
@@ -269,7 +269,7 @@ def mean_response(frames: Array) -> Array:
     Frames are of FRAME_KINDS, at least 3 x 3 px.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or smaller frames.
+        TypeError, ValueError: wrong dtype or shape, or smaller frames.
     """
     frames = _kernel_frames(frames)
     means = empty(frames, "float64", frames.shape[0])
@@ -283,7 +283,7 @@ def spline_coefficients(frames: Array) -> Array:
     """Return spline coefficients (B, 1, H, W) float32 of frames of FRAME_KINDS, bit for bit as `ops.filters.spline`.
 
     Raises:
-        TypeError, ValueError: another dtype or shape.
+        TypeError, ValueError: wrong dtype or shape.
     """
     check_frames(frames)
     frames = rows_in_one_piece(frames)
@@ -382,7 +382,7 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
 
 
 class CornerPlaces(NamedTuple, Generic[Array]):
-    """Points (B, count, 2) and response (B, count), float32, strongest first; NaN behind the last."""
+    """Points (B, count, 2) px and their response (B, count), float32, strongest first, padded with NaN."""
 
     points: Array
     response: Array
@@ -404,7 +404,7 @@ def corners(
     Responses exceed `floors` (B,) float32.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.
+        TypeError, ValueError: wrong dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.
     """
     check_frames(frames, ("uint8",))
     batch, _, height, width = frames.shape

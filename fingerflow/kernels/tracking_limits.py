@@ -4,8 +4,10 @@ from enum import IntEnum
 
 
 class TrackStatus(IntEnum):
-    """Why a point has a position, or has none. The first reason that applies is given; of a window that does not lie
-    inside both images LEFT_FRAME, whatever its pixels are.
+    """Why a point has a position, or has none: the first reason that applies.
+
+    `ops.tracking.templates` gives up to FORWARD_BACKWARD (LEFT_FRAME for a window that does not lie inside both images,
+    whatever its pixels are), `ops.tracking.outliers` UNCERTAIN and OFF_NEIGHBOURS; the others are those of a recording.
     """
 
     TRACKED = 0
@@ -17,10 +19,9 @@ class TrackStatus(IntEnum):
     FORWARD_BACKWARD = 6  # tracking back does not return to the start
     UNCERTAIN = 7  # its standard deviation is far above that of its neighbours
     OFF_NEIGHBOURS = 8  # it was found, but not where any plane through its neighbours leads
-    FRAME_NOT_USABLE = 9  # the whole frame is no picture of the trial: a recording's results have it, no op gives it
-    WINDOW_DIFFERS = 10  # its window is no longer the one that was chosen (`stages.second_look`); no op gives it either
-    # it was chosen in another frame, as skin came into contact there (`pipeline.stages.tracking.new_skin`); no op
-    NOT_CHOSEN_YET = 11
+    FRAME_NOT_USABLE = 9  # the frame is no picture of the trial (`pipeline.stages.preparation.frame_check`)
+    WINDOW_DIFFERS = 10  # its window is no longer the one that was seeded (`tracker.verification`)
+    NOT_CHOSEN_YET = 11  # seeded in a later frame, as skin came into contact there (`pipeline.stages.tracking`)
 
 
 class Number(IntEnum):

@@ -160,8 +160,8 @@ def field_map(
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
     """Return the limit of the colour scale, in the unit of the map.
 
-    It is the largest over these frames of the 0.98 quantile of |values|, at most three times their median; 1 if all
-    are 0.
+    It is the largest over these frames of the 0.98 quantile of the absolute values, at most three times their median; 1
+    if all are 0.
     """
     chosen = _needed(result, quantity)
     largest = 0.0

@@ -33,7 +33,9 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m), default six.
+        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m).
+
+        The default edges are those of six equal bins over the range of amplitudes.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.

@@ -40,8 +40,10 @@ EQUATIONS: dict[str, str] = {
     "printed_real_contact_area": "s² Σ 1[I(first contact)/I₀ − I/I₀ > printed_contact_threshold]",
     "printed_eroded_contact_area": "the same after erosion by a unit diamond",
     "position": "s (A (x_px, 1)), A = calibration.topography_to_contact",
-    "position_px": "argmin_d Σ_w (T(W w) − a I(w + d) − b)², T the template, W its deformation, a gain, b offset",
-    "position_std_px": "√(tr(σ² G⁻¹)/2), G = Σ_w ∇T ∇Tᵀ, σ² the noise of the frame",
+    "position_px": "y with Σ_w g(w) (S(y + w) − T(w)) = 0, S the spline of the frame, T(w) = S_key(p + F⁻¹ w) the "
+    "template, F its deformation, g the gradient of T without its parts along a constant and along T",
+    "position_std_px": "√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
+    "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame",
     "forward_backward_error": "|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)",
     "status": "first test that a point has not passed",
     "in_contact": "1[position inside the gross contact]",

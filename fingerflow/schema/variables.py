@@ -128,7 +128,7 @@ CONTACT = (
     ),
 )  # fmt: skip
 
-#: Names of `fingerflow.ops.tracking.track_points.TrackStatus`, which defines each.
+#: Names of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
     "tracked",
     "not_finite",

@@ -30,7 +30,6 @@ from fingerflow.tracker.verification import Verification
 Array = NDArray[Any]
 
 _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must be found elsewhere after a jump
-_TINY = 1e-12
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,7 @@ class StreamTracker:
         status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
         if status is not None and status != USABLE:
             return [self._skipped(work, status)]
-        assert resolved is not None  # points are looked for in every frame that may count
+        assert resolved is not None  # points are tracked in every frame that may count
         if status is None:
             self._doubtful = _Doubtful(work, resolved)
             return []

@@ -22,7 +22,7 @@ class ThresholdSearch:
     def __init__(self, lag: int) -> None:
         self._lag = lag
         self._searching = True
-        self._area = math.nan  # contact area in the first frame with the threshold in use
+        self._area = math.nan  # contact area with which its growth is compared
         self._asked: int | None = None  # frame in which the contact had grown
         self._found: tuple[int, float] | None = None
 

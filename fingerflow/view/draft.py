@@ -60,12 +60,12 @@ class Draft:
 
     @property
     def text(self) -> str:
-        """Content of the file as it would be written."""
+        """Return the content of the file as it would be written."""
         return tomlkit.dumps(self._document)
 
     @property
     def is_stored(self) -> bool:
-        """True if the file on disk has this content, as read or written by this page."""
+        """Return whether the file on disk has this content, as read or written by this page."""
         return self._stored == self.text and self.path.is_file()
 
     def values(self) -> dict[str, Any]:

@@ -78,12 +78,12 @@ class Previewer:
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Times (frames,) in s of the selected frames."""
+        """Return the times (frames,) in s of the selected frames."""
         return self._inputs.times
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the opened files and of the stages so far."""
+        """Return the warnings of the opened files and of the stages so far."""
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:

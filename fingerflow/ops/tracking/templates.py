@@ -383,7 +383,8 @@ def _numbers(
 def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
     """Return xx, xy, yy (P, 3) of the covariance of a position, px^2, for white pixel noise of variance 1.
 
-    It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples).
+    It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples):
+    the Cramér-Rao bound H^-1 but for the smoothing by the spline.
     """
     side = round(gradient.shape[2] ** 0.5)
     weights = onto_pixels(gradient.unflatten(2, (side, side)), side).flatten(2)
