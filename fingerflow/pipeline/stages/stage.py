@@ -63,8 +63,8 @@ class Stage:
 
     The pipeline goes over the frames once for all stages that depend only on each other's steps, and again for the
     stages after them. It calls `begin` of each stage in the order of dependencies, `step` batch by batch, `finish`, and
-    `derive`. A stage writes results of frames to `RunContext.results` as they are computed; for all frames it holds only a
-    few numbers a frame.
+    `derive`. A stage writes results of frames to `RunContext.results` as they are computed; for all frames it holds
+    only a few numbers a frame.
 
     Attributes:
         name: in the plan, and in the seconds that a result states.
