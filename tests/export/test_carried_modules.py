@@ -103,7 +103,7 @@ def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) 
 
 def test_files_are_carried_as_they_are(bundle: Path) -> None:
     home = bundle / "fingerflow"
-    files = {file.relative_to(home) for file in home.rglob("*") if file.is_file()}
+    files = {file.relative_to(home) for file in home.rglob("*") if file.is_file() and file.suffix != ".pyc"}
     library = {file for file in files if file.name.startswith("_kernels")}
     assert {str(file) for file in files - library if file.suffix != ".py"} >= {
         f"player/page/{name}" for name in ("index.html", "page.css", "page.js")
