@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from fingerflow.schema import variables
+
 PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 
 # What each room may import of the others; itself always. A new file or folder takes its place here.
@@ -118,6 +120,24 @@ def test_no_class_name_twice() -> None:
             if isinstance(node, ast.ClassDef):
                 named.setdefault(node.name, []).append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
     assert not {name: places for name, places in named.items() if len(places) > 1}
+
+
+def test_every_variable_is_put_under_its_literal_name() -> None:
+    """Who searches for the name of a variable finds where it is computed: in a stage, the tracker or the player, or by a
+    formula beside its definition.
+    """
+    rooms = ("pipeline/stages", "tracker", "player")
+    texts = {
+        node.value
+        for room in rooms
+        for path in (PACKAGE / room).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    every = [one for value in vars(variables).values() if isinstance(value, tuple) for one in value]
+    computed = {one.name for one in every if isinstance(one, variables.Variable) and one.formula is None}
+    assert len(computed) > 60
+    assert not computed - texts
 
 
 def test_imports_follow_the_arrows() -> None:

@@ -17,12 +17,6 @@ from fingerflow.schema.variables import FIELDS
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.entry import EntryGradients
 
-_MEDIANS = (  # medians of `FieldsGraph`: name, columns, True if a rate is computed
-    ("divergence", 0, True),
-    ("curl", 1, False),
-    ("strain", slice(2, 5), True),
-)
-
 
 def _tensors_of(found: FrameFields) -> graphs.Fields:
     """Return the same fields as torch tensors."""
@@ -114,10 +108,12 @@ class FieldsStage(Stage):
         self.results.put("field_coverage", self._known)
         self._median_std = np.sqrt(self._median_std**2 + self._bias.square())
         times, window = self.inputs.times, self._settings.rate_window_s
-        for name, columns, has_rate in _MEDIANS:
-            measure = {"measure": self._settings.strain} if name == "strain" else {}
-            median = self._median[:, columns]
-            self.results.put(f"median_{name}", median, self._gauge | measure)
-            self.results.put(f"median_{name}_std", self._median_std[:, columns])
-            if has_rate:
-                self.results.put(f"median_{name}_rate", rate(median, times, window))
+        divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
+        self.results.put("median_divergence", divergence, self._gauge)
+        self.results.put("median_divergence_std", self._median_std[:, 0])
+        self.results.put("median_divergence_rate", rate(divergence, times, window))
+        self.results.put("median_curl", curl, self._gauge)
+        self.results.put("median_curl_std", self._median_std[:, 1])
+        self.results.put("median_strain", strain, self._gauge | {"measure": self._settings.strain})
+        self.results.put("median_strain_std", self._median_std[:, 2:])
+        self.results.put("median_strain_rate", rate(strain, times, window))

@@ -205,8 +205,10 @@ class SlipStage(Stage):
         self.results.put("slip_annulus_area", (1 - self._ratio) * self._area, limit)
         self.results.put("slip_direction", self._direction)
         self.results.put("slip_speed", self._speed)
-        for name, values in zip(("", "_irrotational", "_solenoidal"), self._incipient, strict=True):
-            self.results.put(f"incipient_slip{name}", values)
+        for name, values in zip(
+            ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal"), self._incipient, strict=True
+        ):
+            self.results.put(name, values)
 
     def _limit(self) -> float:
         """Return the displacement, mm, below which skin counts as stuck; NaN where it is not known."""
