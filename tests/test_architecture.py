@@ -123,8 +123,8 @@ def test_no_class_name_twice() -> None:
 
 
 def test_every_variable_is_put_under_its_literal_name() -> None:
-    """Who searches for the name of a variable finds where it is computed: in a stage, the tracker or the player, or by a
-    formula beside its definition.
+    """Who searches for the name of a variable finds where it is computed: in a stage, the tracker or the player, or by
+    a formula beside its definition.
     """
     rooms = ("pipeline/stages", "tracker", "player")
     texts = {

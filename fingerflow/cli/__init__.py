@@ -1,5 +1,6 @@
 """The command line: one command a function, no logic; each file has the commands of one purpose."""
 
+import _thread
 import signal
 import sys
 import threading
@@ -40,8 +41,16 @@ def main() -> None:
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
     """Interrupt the main thread once more where Ctrl-C came in a callback, from which Python lets no exception out."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
-        # After the callback, as here it would be lost again; to the main thread, so that it wakes up if it waits.
-        main_thread = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+        # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
+        # which Windows does not have.
+        threading.Timer(0.01, _interrupt_the_main_thread).start()
     else:
         sys.__unraisablehook__(raised)
+
+
+def _interrupt_the_main_thread() -> None:
+    main_thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main_thread is not None:
+        signal.pthread_kill(main_thread, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
