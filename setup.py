@@ -16,12 +16,6 @@ from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
 HEADERS = Path("fingerflow/kernels")  # of interface.h, which Python reads too
-GENERATED = (
-    ("generate_median", "median_networks.h"),
-    ("generate_limits", "tracking_limits.h"),
-    ("generate_sets", "instruction_features.h"),
-    ("generate_entries", "entries.cpp"),
-)
 # The first line of a source that is compiled once an instruction set; some need no exact agreement between the sets.
 EXACT = "// build: each instruction set"
 ROUNDED = f"{EXACT}, fused"
@@ -51,8 +45,9 @@ class BuildKernels(build_ext):
     def build_extension(self, ext: Extension) -> None:
         folder = Path(self.build_temp)
         folder.mkdir(parents=True, exist_ok=True)
-        for stem, generated in GENERATED:
-            runpy.run_path(str(KERNELS / f"{stem}.py"))["main"](str(folder / generated))
+        for path in KERNELS.glob("generate_*.py"):
+            generator = runpy.run_path(str(path))
+            generator["main"](str(folder / generator["GENERATES"]))
         microsoft = self.compiler.compiler_type == "msvc"
         flags, sets = (MSVC_FLAGS, MSVC_SETS) if microsoft else (GNU_FLAGS, GNU_SETS)
         on_x86 = platform.machine().lower() in ("x86_64", "amd64")

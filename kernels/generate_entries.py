@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent / "fingerflow" / "kernels"
+GENERATES = "entries.cpp"
 
 
 def source() -> str:

@@ -9,6 +9,7 @@ from enum import IntEnum
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parent.parent / "fingerflow" / "kernels" / "tracking_limits.py"
+GENERATES = "tracking_limits.h"
 
 
 def header() -> str:

@@ -20,6 +20,7 @@ from fingerflow.kernels.median_network import MedianProgram, Step, median_progra
 from fingerflow.kernels.median_rows import COMPILED_SIZES, Read, RowOrder
 
 DIFFERENCES = 0.4  # share of operations that go by a difference
+GENERATES = "median_networks.h"
 
 
 class Placement(RowOrder):

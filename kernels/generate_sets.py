@@ -13,6 +13,7 @@ FEATURES = {
     "avx2": ("avx2", "fma"),
     "avx512": ("avx2", "fma", "avx512f", "avx512bw", "avx512vl", "avx512dq"),
 }
+GENERATES = "instruction_features.h"
 
 
 def header() -> str:

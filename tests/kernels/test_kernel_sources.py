@@ -16,13 +16,6 @@ pytestmark = pytest.mark.long
 HERE = Path(__file__).parent
 ROOT = HERE.resolve().parents[1]
 
-
-GENERATED = (
-    ("generate_median", "median_networks.h"),
-    ("generate_limits", "tracking_limits.h"),
-    ("generate_sets", "instruction_features.h"),
-    ("generate_entries", "entries.cpp"),
-)
 ISA = "-DFINGERFLOW_ISA=baseline"  # the namespace of what is compiled once a set of instructions
 SANITIZERS = {"memory": "address,undefined", "threads": "thread"}
 
@@ -60,8 +53,9 @@ def run(program: Path) -> None:
 
 def kernel_sources(folder: Path) -> tuple[list[Path], list[Path]]:
     """Those that are compiled once a set of instructions, and the others with the generated ones and the program."""
-    for stem, generated in GENERATED:
-        runpy.run_path(str(ROOT / "kernels" / f"{stem}.py"))["main"](str(folder / generated))
+    for path in (ROOT / "kernels").glob("generate_*.py"):
+        generator = runpy.run_path(str(path))
+        generator["main"](str(folder / generator["GENERATES"]))
     sources = sorted((ROOT / "kernels").glob("*.cpp"))
     hot = [one for one in sources if "FINGERFLOW_ISA" in one.read_text(encoding="utf-8")]
     return hot, [*(one for one in sources if one not in hot), folder / "entries.cpp", HERE / "sanitized.cpp"]
