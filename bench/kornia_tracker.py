@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from bench.trackers import Found
+from fingerflow.ops.filters.windows import cut_windows
 
 # Found by trial at a noise of 2 grey levels, 21 px: 20 steps leave 1.43 of the bound, 30 leave 1.31, 40 leave 1.30;
 # Adam is at 1.5 after 20 and at 2.4 after 40, linear interpolation ends at 2.0.
@@ -58,6 +59,6 @@ class _Translations(BaseModel):
 
 
 def _windows(image: Tensor, points: Tensor, side: int) -> Tensor:
-    """(N, 1, side, side) grey levels from 0 to 1 around the pixels of points (1, N, 2)."""
+    """Return grey levels (N, 1, side, side) from 0 to 1 around the pixels of points (1, N, 2)."""
     corner = points[0].round().long() - side // 2
-    return image[0, 0].unfold(0, side, 1).unfold(1, side, 1)[corner[:, 1], corner[:, 0]][:, None].float() / 255
+    return cut_windows(image.float(), torch.zeros_like(corner[:, 0]), corner, side)[:, None] / 255

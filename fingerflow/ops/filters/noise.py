@@ -6,6 +6,12 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import ROUNDING
+
+
+def rounding_variance(images: Tensor) -> float:
+    """Return the variance of the rounding to whole grey levels, 1/12; 0 for floating images."""
+    return 0.0 if images.is_floating_point() else ROUNDING
 
 
 def estimate_noise(images: Tensor) -> Tensor:

@@ -35,7 +35,7 @@ from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.flow import FlowFields, Left
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.filters.halving import halved_image
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients, spline_weights
 from fingerflow.ops.flow.flow_cells import (
     CELL,
@@ -54,7 +54,6 @@ from fingerflow.ops.flow.flow_multigrid import Level, edges, halved_edges, pyram
 from fingerflow.ops.flow.flow_penalty import Penalty, check_penalty, data_weights, mean_edge_weight, weighted_levels
 from fingerflow.ops.tensors import finite
 
-_ROUNDING = 1 / 12  # variance of rounding to integer grey levels
 _CYCLES = 3  # of multigrid after the last warp
 _MARGIN = 2  # px at the border of an image, where its spline needs pixels beyond it
 _SMALLEST_SIDE = 32  # px, of a halved image
@@ -185,7 +184,7 @@ def prepare_flow(
     check_constancy(constancy)
     kind = torch.float64 if first.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(first) if noise is None else noise).to(kind).square()
-    least = 0.0 if first.is_floating_point() else _ROUNDING
+    least = rounding_variance(first)
     variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
     template, tensor = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.contact.cells import widest
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.corners import choose_apart
 
 _SMALLEST = 1.5  # px, the finest scale: a disc of 4 px across
@@ -209,7 +209,7 @@ def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
 
 def _noise(frames: Tensor) -> Tensor:
     """Return the noise standard deviation (B,) of a pixel in grey levels, including the rounding of integer frames."""
-    return (estimate_noise(frames).square() + (0.0 if frames.is_floating_point() else 1 / 12)).sqrt()
+    return (estimate_noise(frames).square() + rounding_variance(frames)).sqrt()
 
 
 def _between(strength: Tensor) -> float:

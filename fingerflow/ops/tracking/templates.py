@@ -27,7 +27,7 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
 from fingerflow.ops.tensors import components_first, finite, sum_rows
@@ -119,7 +119,7 @@ def prepare_templates(
         raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
     dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(image) if noise is None else noise).to(dtype).square()
-    rounding = 0.0 if image.is_floating_point() else ROUNDING
+    rounding = rounding_variance(image)
     given = points.to(dtype)
     inverse = None if warp is None else inverse_2x2(warp.to(dtype))
     if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
@@ -219,7 +219,7 @@ def find_templates(
     dtype = templates.samples.dtype
     variance = None if noise is None else noise.to(dtype).square()
     guess = prediction.to(dtype)
-    rounding = 0.0 if current.is_floating_point() else ROUNDING
+    rounding = rounding_variance(current)
     settings = (rounding, forward_backward_limit, mismatch_limit)
     if (
         kernels.serve(current, guess, variance, *templates)

@@ -11,7 +11,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
 from fingerflow.ops.tracking.deformation import correct_points
@@ -216,9 +216,9 @@ def _find(
         and previous.dtype in kernels.FRAME_KINDS
         and previous.dtype == current.dtype
     ):
-        rounding = 0.0 if previous.is_floating_point() else limits.ROUNDING
-        settings = (window, gain_offset, limits.ROUNDS, rounding, forward_backward_limit, mismatch_limit)
-        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings)
+        settings = (window, gain_offset, limits.ROUNDS, rounding_variance(previous))
+        limits_of = (forward_backward_limit, mismatch_limit)
+        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings, *limits_of)
         return Found(*own), numbers
     templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
     found = find_templates(
