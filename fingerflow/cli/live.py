@@ -41,7 +41,7 @@ def stream(context: typer.Context) -> None:
 
 
 def _forces_of(file: Path) -> "LiveForces | None":
-    """As `process` gives them. Where they cannot be read the log says why, and the stream goes on without."""
+    """Return the forces as `process` does; None where they cannot be read, and the log says why."""
     from fingerflow.pipeline.run import process
     from fingerflow.player.live import LiveForces
     from fingerflow.schema.scene import load_scene

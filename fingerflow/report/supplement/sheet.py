@@ -33,7 +33,7 @@ class Sheet:
 
     @staticmethod
     def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """From letters of panels and what each needs to one sentence a need."""
+        """Return one sentence a need, from pairs of a panel's letter and what it needs."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)

@@ -25,31 +25,31 @@ class Sources:
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
-        """Of the tribometer trace."""
+        """Return the epochs of the tribometer trace; None without one."""
         return None if self.tribometer is None else self.tribometer.epochs()
 
     @cached_property
     def presses(self) -> SimulatedPresses:
-        """Of the skin chain."""
+        """Simulate the presses of the skin chain."""
         return simulate_presses()
 
     @cached_property
     def depth(self) -> Depth:
-        """Under these presses."""
+        """Compute stress and strain at depth under these presses."""
         return look_under(self.presses)
 
     @cached_property
     def field(self) -> PressField:
-        """Of the simulated press."""
+        """Compute the field of the simulated press."""
         return press_field()
 
     def difference(self, metric: str) -> str:
-        """The column of a metric's difference, comparison less reference, or the metric's own where there is none."""
+        """Return the column of a metric's difference, comparison less reference, or the metric's own without one."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """What a panel of these metrics needs and has not; empty where all is there."""
+        """Return what a panel of these metrics lacks; empty if it has all."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics

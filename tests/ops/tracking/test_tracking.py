@@ -173,7 +173,7 @@ def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
 
 @pytest.mark.parametrize("beside", [-0.3, -0.8, -1.5])
 def test_predictions_beyond_the_border(beside: float) -> None:
-    """Of points that lie inside in both pictures."""
+    """Points that lie inside both pictures are found although their predictions lie outside."""
     down = torch.linspace(40, 360, 60)
     start = torch.stack((torch.linspace(10.6, 11.1, 60), down), dim=-1)[None]
     truth = start + torch.tensor((-0.4, 0.0))
