@@ -197,3 +197,11 @@ def test_the_package_itself_loads_nothing() -> None:
 )
 def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:
     assert len(wrong_arrows(room, source)) == 1
+
+
+def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> None:
+    """Figures, reports and pages take it from `schema`; else one quantity has several units."""
+    pages = [path for kind in ("py", "js", "html") for path in PACKAGE.rglob(f"*.{kind}")]
+    assert len(pages) > 300
+    stated = {str(path.relative_to(PACKAGE)) for path in pages if "µm/mm" in path.read_text(encoding="utf-8")}
+    assert {name for name in stated if not name.startswith("schema/")} == set()

@@ -22,7 +22,7 @@ from bench.rows import Row, Skipped
 from fingerflow import process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings import open_recording
-from fingerflow.schema.scene import gel_scene_text
+from fingerflow.schema.scene_template import gel_scene_text
 
 CLIPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile"
 _NEAR_PX, _OFF_PX, _INSIDE_PX = 1.5, 3.0, 12.0

@@ -6,27 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
-from fingerflow.schema.scene_keys import (
-    SCENE,
-    Choice,
-    Column,
-    CornersType,
-    Each,
-    File,
-    Moment,
-    NumberType,
-    Pair,
-    PixelRange,
-    SceneKey,
-    SceneTable,
-    Switch,
-    Text,
-    TimeRange,
-    TransformType,
-    Whole,
-    views_of,
-)
+from fingerflow.schema.key_list import ListedKey, key_list
 from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.variables import SYMBOLS
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE.parent / "bench" / "results"
@@ -78,7 +60,8 @@ def outputs_page() -> str:
 
 
 def _facts(entry: DictionaryEntry) -> str:
-    facts = [f"Unit `{entry.units}`", f"dimensions `({', '.join(entry.dimensions)})`"]
+    shown = f", shown in {entry.shown_unit}" if entry.shown_unit not in ("", entry.units) else ""
+    facts = [f"Unit `{entry.units}`{shown}", f"dimensions `({', '.join(entry.dimensions)})`"]
     if entry.needs:
         facts.append("needs " + ", ".join(f"`{key}`" for key in entry.needs))
     if not entry.unasked:
@@ -89,77 +72,28 @@ def _facts(entry: DictionaryEntry) -> str:
 
 
 def _symbols() -> list[str]:
-    from fingerflow.schema import equations
-
-    text = (equations.__doc__ or "").partition("\n\n")[2].strip().replace("\n", " ")
-    return ["## Symbols", "", _cell(text), ""]
+    return ["## Symbols", "", _cell(SYMBOLS.strip()), ""]
 
 
 def keys_page() -> str:
-    """Every key of a scene file: type, range, default, who needs it."""
-    press = views_of(KINDS["press"])
-    tables: dict[str, SceneKey | SceneTable] = {"views": press, **SCENE}
+    """Every key of a scene file: type, range, default, who needs it, meaning."""
     lines = [
         "# Keys of a scene file",
         "",
-        "`fingerflow init scene.toml` writes a commented file. Both readers of scenes, `process` and the player of a "
-        "stream, refuse what is not listed here, in the same words. This page is written from "
-        "`fingerflow/schema/scene_keys.py` when the site is built. `kind` names the kind of scene: "
+        "`fingerflow init scene.toml` writes a commented file, and `fingerflow keys` prints this list. Both readers of "
+        "scenes, `process` and the player of a stream, refuse what is not listed here, in the same words. This page is "
+        "written from `fingerflow/schema/scene_keys.py` when the site is built. `kind` names the kind of scene: "
         + ", ".join(f"`{kind}`" for kind in KINDS)
         + ".",
         "",
     ]
-    for name, table in tables.items():
-        assert isinstance(table, SceneTable)
-        lines += [f"## [{name}]", "", *_table(("key", "is", "default", "needed by"), _keys(table, ""))]
+    tables: dict[str, list[ListedKey]] = {}
+    for key in key_list():
+        tables.setdefault(key.name.partition(".")[0], []).append(key)
+    for name, keys in tables.items():
+        rows = [(key.name.partition(".")[2], key.type, key.default, key.needed_by, key.help) for key in keys]
+        lines += [f"## [{name}]", "", *_table(("key", "is", "default", "needed by", "meaning"), rows)]
     return "\n".join(lines)
-
-
-def _keys(table: SceneTable, above: str) -> list[tuple[str, str, str, str]]:
-    rows = []
-    for name, key in table.keys.items():
-        if isinstance(key, SceneTable):
-            rows += _keys(key, f"{above}{name}.")
-        else:
-            default = "" if key.default is None else json.dumps(key.default)
-            rows.append((above + name, _kind_of(key.type), default, ", ".join(sorted(key.needed_by))))
-    return rows
-
-
-_PLAIN: dict[type, str] = {
-    Switch: "true or false",
-    Text: "text",
-    TimeRange: "[t0, t1], s from the trigger",
-    PixelRange: "[first, end) px",
-    CornersType: "[[x, y], ...], three or more, px of the view",
-    TransformType: "[[a, b, x], [c, d, y]]",
-}
-
-
-def _kind_of(of: Any) -> str:
-    if type(of) in _PLAIN:
-        return _PLAIN[type(of)]
-    match of:
-        case NumberType():
-            limits = ((">", of.above), ("≥", of.least), ("≤", of.most), ("<", of.below))
-            said = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
-            odd = "odd " if isinstance(of, Whole) and of.odd else ""
-            return f"{odd}{'whole ' if isinstance(of, Whole) else ''}number {said}".strip()
-        case Choice():
-            words = [f'"{word}"' for word in of.words]
-            return " or ".join([*words, *([] if of.number is None else [_kind_of(of.number)])])
-        case Moment():
-            return " or ".join([*(f'"{word}"' for word in of.words), 'a frame, or a time such as "0.25 s"'])
-        case Column():
-            return "column" if of.several == 1 else f"column, or a list of up to {of.several}"
-        case Each():
-            values = " or ".join(f"{value:g}" for value in of.among) or _kind_of(of.number)
-            return f"{values}; or a list, one a force"
-        case Pair():
-            return f"[x, y], each a {_kind_of(of.each)}"
-        case File():
-            return "path"
-    raise TypeError(f"{of!r} has no words yet: add them here")
 
 
 def measurements_page() -> str:

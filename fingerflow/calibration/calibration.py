@@ -11,7 +11,7 @@ from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.calibration_file import CalibrationError, TransformRows, read_calibration
-from fingerflow.schema.toml_string import toml_string
+from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.views import View
 
 
@@ -42,10 +42,10 @@ class Calibration:
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
             f"mm_per_px = {_written(self.mm_per_px)}",
-            f"warnings = [{', '.join(map(toml_string, self.warnings))}]",
+            f"warnings = {toml_value(self.warnings)}",
         ]
         for name, view in self.views.items():
-            lines += _section(f"[views.{toml_string(name)}]", {"rows": view.rows, "columns": view.columns})
+            lines += _section(f"[views.{toml_value(name)}]", {"rows": view.rows, "columns": view.columns})
         lines += _section("[hole]", {"radius_mm": self.hole_radius_mm, **asdict(self.hole)})
         for name, transform in (("affine", self.affine), ("similarity", self.similarity)):
             if transform is not None:

@@ -18,7 +18,7 @@ def init(
     """Write a commented scene file: to fill in, or with --gel one that can be processed as it is."""
     from fingerflow.recordings import open_recording
     from fingerflow.results.atomic_write import write_atomically
-    from fingerflow.schema.scene import gel_scene_text, scene_text
+    from fingerflow.schema.scene_template import gel_scene_text, scene_text
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
@@ -31,6 +31,19 @@ def init(
             text = gel_scene_text(gel.resolve().as_posix(), recording.frame_shape, mm_per_px)
     write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
     typer.echo(f"{path} was written; {'' if gel else 'fill it in, '}then: fingerflow process {path}")
+
+
+@app.command()
+def keys(
+    names: Annotated[list[str] | None, typer.Argument(help="Of keys, or parts of names. Default: all.")] = None,
+) -> None:
+    """List the keys of scene files: type and range, default and meaning of each."""
+    from fingerflow.schema.key_list import key_list
+
+    rows = [row for row in key_list() if not names or any(name in row.name for name in names)]
+    if not rows:
+        raise FingerflowError(f"no key is called {' or '.join(names or ())}; `fingerflow keys` lists all")
+    typer.echo("\n".join(map(str, rows)))
 
 
 @app.command()

@@ -3,14 +3,15 @@
 from typing import NamedTuple
 
 from fingerflow.pipeline.stages import all_stages
-from fingerflow.schema.equations import EQUATIONS
-from fingerflow.schema.variables import STREAM, Variable
+from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
     """Description of one variable.
 
     Attributes:
+        units: of the data set; ``shown_unit`` that of figures, reports and pages, "" if dimensionless.
         stage: name of the stage that computes it; "stream" for variables that only a stream has.
         unasked: True if it is computed without being requested by name.
         needs: keys that the scene must have for it.
@@ -19,6 +20,7 @@ class DictionaryEntry(NamedTuple):
 
     name: str
     units: str
+    shown_unit: str
     dimensions: tuple[str, ...]
     stage: str
     definition: str
@@ -30,8 +32,9 @@ class DictionaryEntry(NamedTuple):
     def __str__(self) -> str:
         """Return three or four lines of plain text."""
         asked = "" if self.unasked else ", only where it is named"
+        shown = "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
         lines = [
-            f"{self.name}  [{self.units}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
+            f"{self.name}  [{self.units}{shown}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
             f"    {self.definition}",
             f"    {self.equation}",
         ]
@@ -56,10 +59,11 @@ def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> Dictionary
     return DictionaryEntry(
         variable.name,
         variable.units,
+        variable.shown_unit.name,
         variable.dims,
         stage,
         variable.long_name,
-        EQUATIONS[variable.name],
+        variable.equation,
         variable.unasked,
         tuple(dict.fromkeys((*needs, *variable.needs))),
         variable.flags,

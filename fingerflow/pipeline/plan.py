@@ -9,7 +9,8 @@ from fingerflow.pipeline.stages import all_stages
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.scene_kinds import KINDS
-from fingerflow.schema.variables import Variable, by_name
+from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.variables import by_name
 
 #: All variables by name.
 VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))

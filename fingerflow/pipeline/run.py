@@ -31,7 +31,7 @@ from fingerflow.results.free_space import check_disk, check_memory, size_of_resu
 from fingerflow.results.result import is_result, open_own, open_result
 from fingerflow.results.store import FileStore, MemoryStore, Store
 from fingerflow.schema.scene import Scene, load_scene
-from fingerflow.schema.variables import Variable
+from fingerflow.schema.variable_record import Variable
 
 if TYPE_CHECKING:
     from fingerflow.export.runtime import OnnxRuntime

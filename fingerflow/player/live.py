@@ -15,12 +15,19 @@ import numpy as np
 from fingerflow.engines.engine import Array
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.handover import Slot
+from fingerflow.schema.variables import VARIABLES
 
 _PAGE_INTERVAL = 1 / 15  # s between images, made only while a page is open
 _TRACE_LENGTH = 900  # 30 s, as the page shows, with a point every 1 / 30 s
 _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
 _TRACED = ("real_contact_area", "gross_contact_area", "median_divergence")
 _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_semi_axes")
+#: Variables that the page shows, with label, unit, factor and decimals.
+_SHOWN = {
+    name: VARIABLES[name].shown()
+    for name in (*_TRACED, "divergence", "contact_threshold", "ellipse_semi_axes", "normal_force", "tangential_force",
+                 "slip_flag")
+}  # fmt: skip
 
 Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a frame and the number of the restart
 
@@ -109,6 +116,7 @@ class LiveData:
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
         arrays = self._arrays | {"traces": traces}
         said = {
+            "shown": _SHOWN,
             "every": self._every,
             "scalars": {name: value if math.isfinite(value) else None for name, value in self._scalars.items()},
             "expected": dict(self._expected),

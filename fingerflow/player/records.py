@@ -8,17 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fingerflow.engines.engine import Array
+from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import (
     CONTACT,
     FIELDS,
     FRAME,
     FRAME_CHECK,
-    LABELS,
     STREAM,
     TIME,
     TRACK_STATUS,
     TRACKING,
-    Variable,
     by_name,
 )
 from fingerflow.tracker.frame_results import RESULTS

@@ -8,13 +8,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.variables import VARIABLES
 
-NAMES = {
-    "time": "time",
-    "normal_force": "normal force",
-    "tangential_force": "tangential force",
-    "load_ratio": "tangential over normal force, T/N",
-}
 _LEAST_CHANGE = 0.1  # share of its largest value: a force that changes less is constant
 _ABOVE_NOISE = 10.0  # standard deviations of a sample: a force that changes less is constant
 _LARGEST_RETURN = 0.03  # share of its range by which a rising force may fall in between
@@ -48,9 +44,11 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
             f"against {name!r}: the result has no such variable of the frames; choose one of "
             + ", ".join(sorted(str(one) for one in result.variables if result[one].dims == ("frame",)))
         )
-    unit = str(result[name].attrs.get("units", "s" if name == "time" else "1"))
-    label = NAMES.get(name, name.replace("_", " ")) + ("" if unit == "1" else f" ({unit})")
-    return Abscissa(name, result[name].values.astype(np.float64), label)
+    own = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")  # of a variable that is not ours
+    variable = VARIABLES.get(name, own)
+    return Abscissa(
+        name, np.asarray(variable.shown_values(result[name].values.astype(np.float64))), variable.axis_label
+    )
 
 
 def varies(result: xr.Dataset, force: str) -> bool:

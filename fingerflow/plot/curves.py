@@ -1,6 +1,7 @@
 """Curves of a result, each drawn into one axes: areas, deformation, energy, forces, quality."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,14 +12,22 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
 from fingerflow.plot.axes_style import BAND, GREEN, GREY, INK, RED, YELLOW, finished, given_or_new
 from fingerflow.plot.wording import followed
+from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
-_MICRO = 1000.0  # mm to µm, and 1 to µm/mm
 _FEW = 60  # frames: fewer are drawn as dots
 
 
+class _Curve(NamedTuple):
+    """Curve with its name in the legend, values (F,) and standard deviations (F,) or None, as they are shown."""
+
+    name: str
+    values: Values
+    std: Values | None = None
+
+
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the gross and real contact area (mm²).
+    """Draw the gross and real contact area.
 
     Args:
         result: returned by `fingerflow.process`, or a result that was opened.
@@ -26,93 +35,78 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
         against: variable of the horizontal axis; None for the normal force where it only rises or falls, else time.
 
     Returns:
-        The axes; save the figure by ``axes.figure.savefig("area.pdf")``.
+        The axes; save the figure by ``axes.figure.savefig("area.pdf")``. Values are in the units in which variables are
+        shown (`fingerflow outputs`).
 
     Raises:
         FingerflowError: the result lacks a variable that is drawn.
     """
     need(result, "gross_contact_area")
-    curves = [("gross", result["gross_contact_area"].values, None)]
+    curves = [_curve(result, "gross_contact_area", "gross")]
     # A soft sensor shows no micro-junctions.
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
-        curves.append(("real", result["real_contact_area"].values, None))
-    drawn = _draw(result, axes, against, curves, "contact area (mm²)", "Contact area")
-    drawn.set_ylim(bottom=0)
-    return drawn
+        curves.append(_curve(result, "real_contact_area", "real"))
+    label = VARIABLES["gross_contact_area"].with_unit("contact area")
+    return _from_zero(_draw(result, axes, against, curves, label, "Contact area"))
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the semi-axes (mm) of the ellipse of the gross contact; arguments as for `contact_area`."""
+    """Draw the semi-axes of the ellipse of the gross contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
-    values = result["ellipse_semi_axes"].values
-    curves = [("semi-major", values[:, 0], None), ("semi-minor", values[:, 1], None)]
-    drawn = _draw(result, axes, against, curves, "semi-axis (mm)", "Ellipse of the gross contact")
-    drawn.set_ylim(bottom=0)
-    return drawn
+    curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
+    label = VARIABLES["ellipse_semi_axes"].with_unit("semi-axis")
+    return _from_zero(_draw(result, axes, against, curves, label, "Ellipse of the gross contact"))
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median divergence and curl (µm/mm) over the gross contact, with bands of two standard deviations.
+    """Draw the median divergence and curl over the gross contact, with bands of two standard deviations.
 
     Arguments as for `contact_area`.
     """
     need(result, "median_divergence")
-    curves = [
-        (name, _MICRO * result[f"median_{name}"].values, _std(result, f"median_{name}", _MICRO))
-        for name in ("divergence", "curl")
-        if f"median_{name}" in result
-    ]
-    return _draw(result, axes, against, curves, "median (µm/mm)", "Divergence and curl")
+    names = [name for name in ("divergence", "curl") if f"median_{name}" in result]
+    curves = [_curve(result, f"median_{name}", name) for name in names]
+    label = VARIABLES["median_divergence"].with_unit("median")
+    return _draw(result, axes, against, curves, label, "Divergence and curl")
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median strain components (µm/mm) over the gross contact; arguments as for `contact_area`."""
+    """Draw the median strain components over the gross contact; arguments as for `contact_area`."""
     need(result, "median_strain")
-    values = _MICRO * result["median_strain"].values
-    spread = _std(result, "median_strain", _MICRO)
-    curves = [
-        (name, values[:, k], None if spread is None else spread[:, k]) for k, name in enumerate(("exx", "eyy", "exy"))
-    ]
-    return _draw(result, axes, against, curves, "median strain (µm/mm)", "Strain")
+    curves = [_curve(result, "median_strain", name, k) for k, name in enumerate(("exx", "eyy", "exy"))]
+    return _draw(result, axes, against, curves, VARIABLES["median_strain"].axis_label, "Strain")
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement of the points (µm).
+    """Draw the length of the median displacement of the points.
 
     For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
     `contact_area`.
     """
     if "contact_displacement" in result:
-        values = _MICRO * result["contact_displacement"].values
-        curves = [(name, values[:, k], None) for k, name in enumerate("xy")]
-        return _draw(result, axes, against, curves, "mean displacement (µm)", "Displacement in contact")
-    need(result, "global_displacement")
-    curves = [("global displacement", _MICRO * result["global_displacement"].values, None)]
-    drawn = _draw(result, axes, against, curves, "displacement (µm)", "Median displacement")
-    drawn.set_ylim(bottom=0)
-    return drawn
+        curves = [_curve(result, "contact_displacement", name, k) for k, name in enumerate("xy")]
+        label = VARIABLES["contact_displacement"].with_unit("mean displacement")
+        return _draw(result, axes, against, curves, label, "Displacement in contact")
+    return _from_zero(_alone(result, axes, against, "global_displacement", "Median displacement"))
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the strain energy (mJ) with a band of two standard deviations; arguments as for `contact_area`."""
-    need(result, "strain_energy")
-    curves = [("strain energy", result["strain_energy"].values, _std(result, "strain_energy", 1.0))]
-    return _draw(result, axes, against, curves, "strain energy (mJ)", "Strain energy")
+    """Draw the strain energy with a band of two standard deviations; arguments as for `contact_area`."""
+    return _alone(result, axes, against, "strain_energy", "Strain energy")
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw normal and tangential force (N), by default against time; arguments as for `contact_area`."""
+    """Draw normal and tangential force, by default against time; arguments as for `contact_area`."""
     names = [name for name in ("normal_force", "tangential_force") if name in result]
     if not names:
         need(result, "normal_force")
-    curves = [(name.removesuffix("_force"), result[name].values, None) for name in names]
-    return _draw(result, axes, against, curves, "force (N)", "Forces")
+    curves = [_curve(result, name, name.removesuffix("_force")) for name in names]
+    return _draw(result, axes, against, curves, VARIABLES["normal_force"].with_unit("force"), "Forces")
 
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the tangential over the normal force, by default against time; arguments as for `contact_area`."""
-    need(result, "load_ratio")
-    return _draw(result, axes, against, [("T/N", result["load_ratio"].values, None)], "T/N", "Load ratio")
+    return _alone(result, axes, against, "load_ratio", "Friction ratio")
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -122,8 +116,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
     """
     need(result, "slip_ratio", "gross_slip")
     x = abscissa(result, against)
-    curves = [("share that has slipped", result["slip_ratio"].values, None)]
-    drawn = _draw(result, axes, against, curves, "slip ratio", "Slip of what touches the gel")
+    drawn = _alone(result, axes, against, "slip_ratio", "Slip of what touches the gel")
     drawn.set_ylim(-0.03, 1.03)
     for k, where in enumerate(x.values[result["gross_slip"].values > 0]):
         drawn.axvline(where, color=YELLOW, linewidth=2, zorder=0, label=None if k else "gross slip")
@@ -131,29 +124,29 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of points that are tracked (%), by default against time; arguments as for `contact_area`."""
+    """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
-    name, curves = followed(result), [("tracked", 100 * result["tracked_share"].values, None)]
-    drawn = _draw(result, axes, against, curves, f"{name} (%)", f"{name.capitalize()} tracked")
+    name, curve = followed(result), _curve(result, "tracked_share", "tracked")
+    label = VARIABLES["tracked_share"].with_unit(name)
+    drawn = _draw(result, axes, against, [curve], label, f"{name.capitalize()} tracked")
     drawn.set_ylim(0, 103)
     return drawn
 
 
 def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the median forward-backward distance (px), by default against time; arguments as for `contact_area`.
+    """Draw the median forward-backward distance, by default against time; arguments as for `contact_area`.
 
     The frame in which points are seeded is compared with itself and left out.
     """
     need(result, "forward_backward_median")
-    values = result["forward_backward_median"].values
-    curves = [("median", np.where(values > 0, values, np.nan), None)]
-    drawn = _draw(result, axes, against, curves, "distance (px)", "Forward-backward distance")
-    drawn.set_ylim(bottom=0)
-    return drawn
+    curve = _curve(result, "forward_backward_median")
+    curve = curve._replace(values=np.where(curve.values > 0, curve.values, np.nan))
+    label = VARIABLES["forward_backward_median"].with_unit("distance")
+    return _from_zero(_draw(result, axes, against, [curve], label, "Forward-backward distance"))
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the standard deviation of a position (px): median and 0.9 quantile over the points.
+    """Draw the standard deviation of a position: median and 0.9 quantile over the points.
 
     By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.
@@ -165,10 +158,9 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
         rows[known] = np.nanquantile(values[known], fraction, axis=1)
-        curves.append((f"{fraction:.0%} of the {followed(result)} below", rows, None))
-    drawn = _draw(result, axes, against, curves, "standard deviation (px)", "Uncertainty of a position")
-    drawn.set_ylim(bottom=0)
-    return drawn
+        curves.append(_Curve(f"{fraction:.0%} of the {followed(result)} below", rows))
+    label = VARIABLES["position_std_px"].with_unit("standard deviation")
+    return _from_zero(_draw(result, axes, against, curves, label, "Uncertainty of a position"))
 
 
 def need(result: xr.Dataset, *names: str) -> None:
@@ -179,19 +171,33 @@ def need(result: xr.Dataset, *names: str) -> None:
         )
 
 
-def _std(result: xr.Dataset, name: str, factor: float) -> Values | None:
-    return factor * result[f"{name}_std"].values if f"{name}_std" in result else None
+def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
+    """Return a variable, or a component of it, in the unit in which it is shown."""
+
+    def shown(of: str) -> Values:
+        values = VARIABLES[name].shown_values(result[of].values)
+        return np.asarray(values if component is None else values[:, component])
+
+    return _Curve(
+        legend or VARIABLES[name].words, shown(name), shown(f"{name}_std") if f"{name}_std" in result else None
+    )
+
+
+def _from_zero(axes: Axes) -> Axes:
+    axes.set_ylim(bottom=0)
+    return axes
+
+
+def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
+    """Draw one variable."""
+    need(result, name)
+    return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 
 
 def _draw(
-    result: xr.Dataset,
-    axes: Axes | None,
-    against: str | None,
-    curves: Sequence[tuple[str, Values, Values | None]],
-    label: str,
-    title: str,
+    result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
 ) -> Axes:
-    """Draw curves (name, values, standard deviation or None) with bands of BAND standard deviations."""
+    """Draw curves with bands of BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread), colour in zip(curves, (INK, RED, YELLOW, GREEN, GREY), strict=False):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
+from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
 _SHOWN = 0.98  # quantile of the values that limits a colour scale,
@@ -25,23 +26,34 @@ _MARGIN_MM = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity of a map: title, unit, variables that it needs, and a function from a frame to its values.
+    """Quantity of a map.
 
     Attributes:
+        title: of the map.
+        variable: from which it is computed; it states the unit.
+        compute: function from a frame to the values in the unit of the data set.
         of_triangles: values are those of triangles, else of points.
         signed: the colour scale is symmetric about 0.
     """
 
     title: str
-    unit: str
-    needs: tuple[str, ...]
-    values: Callable[[xr.Dataset], Values]
+    variable: str
+    compute: Callable[[xr.Dataset], Values]
     of_triangles: bool
     signed: bool
 
+    @property
+    def unit(self) -> str:
+        """Return the unit of the map."""
+        return VARIABLES[self.variable].shown_unit.name
+
+    def values(self, frame: xr.Dataset) -> Values:
+        """Return the values of a frame in the unit of the map."""
+        return np.asarray(VARIABLES[self.variable].shown_values(self.compute(frame)), dtype=np.float64)
+
 
 def _component(k: int) -> Callable[[xr.Dataset], Values]:
-    return lambda frame: 1000 * frame["strain"].values[:, k].astype(np.float64)
+    return lambda frame: frame["strain"].values[:, k].astype(np.float64)
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
@@ -56,36 +68,26 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
 
 #: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
-    "divergence": Quantity(
-        "Divergence", "µm/mm", ("divergence",), lambda frame: 1000 * frame["divergence"].values, False, True
-    ),
-    "curl": Quantity("Curl", "µm/mm", ("curl",), lambda frame: 1000 * frame["curl"].values, False, True),
+    "divergence": Quantity("Divergence", "divergence", lambda frame: frame["divergence"].values, False, True),
+    "curl": Quantity("Curl", "curl", lambda frame: frame["curl"].values, False, True),
     "displacement": Quantity(
-        "Displacement",
-        "µm",
-        ("displacement",),
-        lambda frame: 1000 * np.linalg.norm(frame["displacement"].values, axis=-1),
-        False,
+        "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False,
         False,
     ),
     "strain_energy_density": Quantity(
-        "Strain energy density",
-        "µJ/mm³",
-        ("strain_energy_density",),
-        lambda frame: 1000 * frame["strain_energy_density"].values,
-        True,
+        "Strain energy density", "strain_energy_density", lambda frame: frame["strain_energy_density"].values, True,
         False,
     ),
     "major_strain": Quantity(
-        "Major principal strain", "µm/mm", ("strain",), lambda frame: 1000 * principal(frame)[0][:, 0], True, True
+        "Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0], True, True
     ),
     "minor_strain": Quantity(
-        "Minor principal strain", "µm/mm", ("strain",), lambda frame: 1000 * principal(frame)[0][:, 1], True, True
+        "Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1], True, True
     ),
-    "exx": Quantity("Strain exx", "µm/mm", ("strain",), _component(0), True, True),
-    "eyy": Quantity("Strain eyy", "µm/mm", ("strain",), _component(1), True, True),
-    "exy": Quantity("Strain exy", "µm/mm", ("strain",), _component(2), True, True),
-}
+    "exx": Quantity("Strain exx", "strain", _component(0), True, True),
+    "eyy": Quantity("Strain eyy", "strain", _component(1), True, True),
+    "exy": Quantity("Strain exy", "strain", _component(2), True, True),
+}  # fmt: skip
 
 
 def field_map(
@@ -121,7 +123,7 @@ def field_map(
     outline = contact_outline(one)
     if outline is not None:
         axes.plot(*np.append(outline, outline[:1], 0).T, "--", color=INK, linewidth=1, label="_contact")
-    position, values = one["position"].values, np.asarray(chosen.values(one), dtype=np.float64)
+    position, values = one["position"].values, chosen.values(one)
     corners = result["triangles"].values if "triangles" in result else np.zeros((0, 3), np.int32)
     limit = colour_limit(result, quantity, (frame,)) if limit is None else limit
     low, colours_of = (-limit, "RdBu_r") if chosen.signed else (0.0, "viridis")
@@ -180,7 +182,7 @@ def drawable(result: xr.Dataset) -> list[str]:
 
 
 def _has(result: xr.Dataset, quantity: Quantity) -> bool:
-    names = ("position", *quantity.needs, *(("triangles",) if quantity.of_triangles else ()))
+    names = ("position", quantity.variable, *(("triangles",) if quantity.of_triangles else ()))
     return all(name in result and result[name].size for name in names)
 
 
@@ -188,8 +190,10 @@ def _needed(result: xr.Dataset, name: str) -> Quantity:
     if name not in QUANTITIES:
         raise FingerflowError(f"{name!r} is no map; choose one of {', '.join(QUANTITIES)}")
     if not _has(result, QUANTITIES[name]):
-        needs = ", ".join(("position", *QUANTITIES[name].needs))
-        raise FingerflowError(f"a map of {name} needs {needs}, which the result has not; process the scene for them")
+        raise FingerflowError(
+            f"a map of {name} needs position, {QUANTITIES[name].variable}, which the result has not; process the scene "
+            "for them"
+        )
     return QUANTITIES[name]
 
 

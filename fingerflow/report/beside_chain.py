@@ -15,8 +15,10 @@ from fingerflow.models.skin_fit import SkinFit, fit_skin
 from fingerflow.models.skin_onset import since_onset
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
+_MEDIAN = VARIABLES["median_divergence"]
 INNER = 0.6  # share of the contact's radius; divergence within depends little on the detected edge
 NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_divergence")
 _LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the spacing of ridges
@@ -29,7 +31,7 @@ _COLOURS = (RED, GREEN, YELLOW, GREY)
 class BesideChain:
     """Measured press and skin chain: T frames with a known force, predictions (K, T) for K frictions.
 
-    Areas are in mm², divergences in um/mm; NaN without contact.
+    Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
 
     force: Values  # N
@@ -101,12 +103,12 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
     return BesideChain(
         force=force[known],
         area=area[known] * shown,
-        median=1e3 * result["median_divergence"].values[known] * shown,
+        median=_MEDIAN.shown_values(result["median_divergence"].values[known]) * shown,
         inner=inner[known] * shown,
         friction=tuple(friction),
         chain_area=of(seen.contact_area, 1e6),
-        chain_median=of(seen.area_median, 1e3),
-        chain_inner=of(seen.mean_within(INNER), 1e3),
+        chain_median=of(seen.area_median, _MEDIAN.shown_unit.factor),
+        chain_inner=of(seen.mean_within(INNER), _MEDIAN.shown_unit.factor),
         fit=fit,
         parameters=parameters,
     )
@@ -123,7 +125,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
         along, across = np.cos(angle) * right + np.sin(angle) * down, np.cos(angle) * down - np.sin(angle) * right
         values = result["divergence"].values[frame][np.hypot(along / first, across / second) < INNER]
         values = values[np.isfinite(values)]
-        found[frame] = 1e3 * values.mean() if len(values) else np.nan
+        found[frame] = _MEDIAN.shown_values(values.mean()) if len(values) else np.nan
     return found
 
 
@@ -131,9 +133,9 @@ def draw(beside: BesideChain) -> Figure:
     """Draw area, median divergence and inner mean divergence against force, measured and of the chain."""
     figure = Figure(figsize=(10, 3.9), layout="constrained")
     panels = (
-        ("gross contact area (mm²)", beside.area, beside.chain_area),
-        ("median divergence over the contact (µm/mm)", beside.median, beside.chain_median),
-        (f"mean divergence within {INNER:g} of its radius (µm/mm)", beside.inner, beside.chain_inner),
+        (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
+        (_MEDIAN.axis_label, beside.median, beside.chain_median),
+        (_MEDIAN.with_unit(f"mean divergence within {INNER:g} of its radius"), beside.inner, beside.chain_inner),
     )
     for axes, (name, measured, chains) in zip(figure.subplots(1, 3), panels, strict=True):
         for friction, chain, colour in zip(beside.friction, chains, _COLOURS * len(chains), strict=False):

@@ -9,6 +9,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.plot.axes_style import INK, RED, finished
+from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
 PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")
@@ -66,28 +67,32 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
 
 def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
     """Draw figure S6: arrows of the field and of each part in the order of PARTS, all at one scale."""
-    x_shear, diagonal_shear = (1e3 * value for value in found.shear)
+
+    def amount(variable: str, value: float) -> str:
+        one = VARIABLES[variable]
+        return f"{one.shown_values(value):z.{one.shown_unit.decimals}f} {one.shown_unit.name}"
+
     amounts = {
         "field": "",
-        "constant": f"{1e3 * float(np.hypot(*found.constant)):.0f} µm",
-        "divergence": f"{1e3 * found.divergence:.1f} µm/mm",
-        "curl": f"{1e3 * found.curl:.1f} µm/mm",
-        "shear along axes": f"{x_shear:z.1f} µm/mm",
-        "shear along diagonals": f"{diagonal_shear:z.1f} µm/mm",
-        "rest": f"{1e3 * _middle_length(found.parts['rest']):.0f} µm in the median",
+        "constant": amount("displacement", float(np.hypot(*found.constant))),
+        "divergence": amount("divergence", found.divergence),
+        "curl": amount("curl", found.curl),
+        "shear along axes": amount("shear", found.shear[0]),
+        "shear along diagonals": amount("shear", found.shear[1]),
+        "rest": f"{amount('displacement', _middle_length(found.parts['rest']))} in the median",
     }
     scale = _arrow_scale(found)
     grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
     axes = grid[: len(PARTS)]
     grid[-1].set_axis_off()
-    for one, (name, amount) in zip(axes, amounts.items(), strict=True):
+    for one, (name, said) in zip(axes, amounts.items(), strict=True):
         arrows = found.parts[name]
         shown = np.isfinite(arrows).all(1) & np.isfinite(found.points).all(1)
         one.quiver(
             *found.points[shown].T, *(scale * arrows[shown].T), angles="xy", scale_units="xy", scale=1,
             color=RED if name == "rest" else INK, width=0.006,
         )  # fmt: skip
-        one.set(aspect="equal", title=f"{name}\n{amount}" if amount else f"{name}\narrows {scale:g} x")
+        one.set(aspect="equal", title=f"{name}\n{said}" if said else f"{name}\narrows {scale:g} x")
         one.title.set_fontsize("medium")
         one.margins(0.15)
         finished(one)

@@ -8,9 +8,24 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.report.telling_frames import Telling
+from fingerflow.schema.variables import VARIABLES
 
 _WINDOW = 11  # frames of the parabola fit
 _DEGREES = 3  # degrees of freedom of a parabola
+_QUANTITIES = (
+    "normal_force",
+    "tangential_force",
+    "load_ratio",
+    "gross_contact_area",
+    "real_contact_area",
+    "contact_area_ratio",
+    "stuck_ratio",
+    "slip_ratio",
+    "median_divergence",
+    "median_curl",
+    "global_displacement",
+    "strain_energy",
+)
 
 
 @dataclass(frozen=True)
@@ -30,32 +45,20 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
-    for name, variable, unit, factor in (
-        ("normal force", "normal_force", "N", 1.0),
-        ("tangential force", "tangential_force", "N", 1.0),
-        ("T/N", "load_ratio", "", 1.0),
-        ("gross contact area", "gross_contact_area", "mm²", 1.0),
-        ("real contact area", "real_contact_area", "mm²", 1.0),
-        ("real over gross area", "contact_area_ratio", "", 1.0),
-        ("stuck share of the contact", "stuck_ratio", "", 1.0),
-        ("share that has slipped", "slip_ratio", "", 1.0),
-        ("median divergence", "median_divergence", "µm/mm", 1000.0),
-        ("median curl", "median_curl", "µm/mm", 1000.0),
-        ("median displacement", "global_displacement", "µm", 1000.0),
-        ("strain energy", "strain_energy", "mJ", 1.0),
-    ):
-        if variable not in result or not np.isfinite(result[variable].values).any():
+    for name in _QUANTITIES:
+        if name not in result or not np.isfinite(result[name].values).any():
             continue
-        values = factor * result[variable].values
-        if f"{variable}_std" in result:
-            spread = factor * result[f"{variable}_std"].values
-        elif variable in ("gross_contact_area", "real_contact_area"):
+        variable = VARIABLES[name]
+        words, values = variable.words, variable.shown_values(result[name].values)
+        if f"{name}_std" in result:
+            spread = variable.shown_values(result[f"{name}_std"].values)
+        elif name in ("gross_contact_area", "real_contact_area"):
             spread = scatter(values)
-            name += " (± scatter)"
+            words += " (± scatter)"
         else:
             spread = np.full(len(values), np.nan)
-        told = tuple(with_uncertainty(float(values[k]), float(spread[k])) for k in places)
-        lines.append(Line(name, unit, told))
+        said = tuple(with_uncertainty(float(values[k]), float(spread[k])) for k in places)
+        lines.append(Line(words, variable.shown_unit.name, said))
     return lines
 
 

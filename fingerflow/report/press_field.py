@@ -8,8 +8,10 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from fingerflow.plot.axes_style import finished
+from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import Press, SyntheticScene
 
+_CURL = VARIABLES["curl"]
 Values = NDArray[np.float64]
 _SPACING_MM = 0.6  # between points
 _FRAMES = 24  # frames with a median curl
@@ -57,14 +59,14 @@ def press_field(scene: SyntheticScene | None = None) -> PressField:
 
 
 def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
-    """Draw figure S13 A: the curl (µm/mm) at each point of the contact."""
+    """Draw figure S13 A: the curl at each point of the contact."""
     axes: Axes = part.subplots()
-    values = 1e3 * field.curl
+    values = _CURL.shown_values(field.curl)
     largest = float(np.nanmax(np.abs(values)))
     x, y = field.reference.T
     dots = axes.scatter(x, y, s=60, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, marker="s")
     axes.set(xlabel="mm", ylabel="mm", aspect="equal", title="press of fingerflow demo")
-    part.colorbar(dots, ax=axes, label="curl (µm/mm)", shrink=0.75)
+    part.colorbar(dots, ax=axes, label=_CURL.axis_label, shrink=0.75)
     finished(axes)
     axes.invert_yaxis()
     return axes

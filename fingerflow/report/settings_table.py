@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-_UNITS = {"mm": "mm", "px": "px", "mpa": "MPa", "s": "s"}
-_OF_KEYS = {"frame_rate": "Hz", "sample_rate": "Hz"}
-_CHOICES = {"threshold", "strain", "direction", "template", "points_from", "criterion"}  # keys whose values are words
+from fingerflow.schema.scene_keys import REGION, SCENE, Choice, SceneKey, SceneTable, words_of
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
@@ -17,7 +15,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:
             values = {"camera": values["camera"]}  # its other names are aliases for stages
-        rows = _rows(values, "") if isinstance(values, Mapping) else []
+        rows = _rows(values, SCENE.get(name), "") if isinstance(values, Mapping) else []
         if rows:
             tables[name.replace("_", " ")] = rows
     return tables
@@ -39,30 +37,27 @@ def transform_rows(stored: str) -> list[tuple[str, str]]:
     ]
 
 
-def _rows(values: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
+def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above: str) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
+    keys = table.keys if isinstance(table, SceneTable) else {}
     for name, value in values.items():
         if value is None or name == "topography_to_contact":  # shown by `transform_rows`
             continue
+        key = keys.get(name, REGION.keys.get(name))
+        words, unit = words_of(name, key) if key else (name.replace("_", " "), "")
         if isinstance(value, Mapping):
             sides = ("rows", "columns")
             if set(sides) <= set(value):
                 ranges = (f"{side} {value[side][0]} to {value[side][1] - 1}" for side in sides)
-                rows.append((f"{above}{_said(name)}", ", ".join(ranges)))
-                value = {key: one for key, one in value.items() if key not in sides}
-            rows += _rows(value, f"{above}{_said(name)}: ")
+                rows.append((f"{above}{words}", ", ".join(ranges)))
+                value = {name: one for name, one in value.items() if name not in sides}
+            rows += _rows(value, key, f"{above}{words}: ")
             continue
-        unit = _OF_KEYS.get(name) or (_UNITS.get(name.rpartition("_")[2], "") if name != "mm_per_px" else "")
-        text = _value(value).replace("_", " ") if name in _CHOICES else _value(value)
-        rows.append((f"{above}{_said(name, bool(unit))}", f"{text} {unit}".rstrip()))
+        text = _value(value)
+        if isinstance(key, SceneKey) and isinstance(key.type, Choice):
+            text = text.replace("_", " ")
+        rows.append((f"{above}{words}", f"{text} {unit}".rstrip()))
     return rows
-
-
-def _said(name: str, has_unit: bool = False) -> str:
-    if name == "mm_per_px":
-        return "scale (mm/px)"
-    words, _, last = name.rpartition("_")
-    return (words if has_unit and last in _UNITS else name).replace("_", " ")
 
 
 def _value(value: Any) -> str:

@@ -3,7 +3,7 @@
 An answer is correct if the vibrating comparison was felt as more slippery than the reference, which does not vibrate.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
+from fingerflow.schema.trial_columns import NUMBERS
 
 Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
@@ -22,40 +23,35 @@ _BINS = 8  # with equally many trials
 _NORMAL_95 = 1.959964
 
 
-class Shown(NamedTuple):
-    """Label of a metric on an axis, and the factor from the unit of its column to that of the label."""
-
-    label: str
-    factor: float = 1.0
-
-
-#: Metrics by the name of their column; comments give the unit of the column.
-METRICS = {
-    "max_force": Shown("maximal normal force (N)"),  # N
-    "time_to_max_force": Shown("time to maximal force (s)"),  # s
-    "duration": Shown("duration (s)"),  # s
-    "force_rate": Shown("maximal force rate (N/s)"),  # N/s
-    "max_displacement": Shown("maximal displacement (mm)"),  # mm
-    "global_displacement": Shown("global displacement (mm)"),  # mm
-    "force_angle": Shown("peak force angle (°)", 180 / np.pi),  # rad
-    "real_contact_area": Shown("real contact area (mm²)"),  # mm2
-    "gross_contact_area": Shown("apparent contact area (mm²)"),  # mm2
-    "divergence": Shown("divergence (µm/mm)", 1e3),  # 1
-    "curl": Shown("curl (µm/mm)", 1e3),  # rad
-    "strain": Shown("longitudinal strain (%)", 100.0),  # 1
-    "strain_rate": Shown("strain rate (%/s)", 100.0),  # 1/s
-    "strain_energy": Shown("strain energy (mJ)"),  # mJ
-    "strain_energy_rate": Shown("strain energy rate (mJ/s)"),  # mJ/s
-}
+#: Metrics that figures and statistics use, columns of the table of trials.
+METRICS = (
+    "max_force",
+    "time_to_max_force",
+    "duration",
+    "force_rate",
+    "max_displacement",
+    "global_displacement",
+    "force_angle",
+    "real_contact_area",
+    "gross_contact_area",
+    "divergence",
+    "curl",
+    "strain",
+    "strain_rate",
+    "strain_energy",
+    "strain_energy_rate",
+)
 
 
-def named(metric: str) -> Shown:
+def label_of(metric: str) -> str:
     """Return the label of a metric, or of its difference (comparison less reference) for a name with `_difference`."""
-    own = METRICS[metric.removesuffix(DIFFERENCE)]
-    if not metric.endswith(DIFFERENCE):
-        return own
-    name, bracket, unit = own.label.partition(" (")
-    return Shown(f"{name} difference{bracket}{unit}", own.factor)
+    own = NUMBERS[metric.removesuffix(DIFFERENCE)]
+    return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
+
+
+def shown_values(metric: str, values: Values) -> Values:
+    """Return values of a metric, or of its difference, in the unit of its label."""
+    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(values))
 
 
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
@@ -68,7 +64,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.axvline(mean, color=INK)
         axes.axvspan(mean - deviation, mean + deviation, color=INK, alpha=0.12, linewidth=0)
         axes.set_title(f"{mean:.3g} ± {deviation:.2g}, {known.size} trials", fontsize="medium")
-    axes.set(xlabel=named(metric).label, ylabel="trials")
+    axes.set(xlabel=label_of(metric), ylabel="trials")
     return finished(axes)
 
 
@@ -86,7 +82,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         limits = np.array([_wilson(answers[group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     test = one_way_anova(values, trials.answer)
-    axes.set(xlabel=named(metric).label, ylabel=ANSWERED, ylim=(0, 1.03))
+    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
     axes.set_title(f"ANOVA {_p(test.p)}, {int(known.sum())} trials", fontsize="medium")
     return finished(axes)
 
@@ -110,7 +106,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
     axes.set_yticks(np.linspace(0, 1, 6))
     finished(axes)
-    axes.legend(frameon=False, fontsize="small", title=named(metric).label, title_fontsize="small", ncols=3)
+    axes.legend(frameon=False, fontsize="small", title=label_of(metric), title_fontsize="small", ncols=3)
     return axes
 
 
@@ -139,7 +135,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
         axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
     test = one_way_anova(values, trials.condition)
-    label = named(metric).label
+    label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
     if np.isfinite(test.f):
@@ -168,7 +164,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
         medians, shares = medians + x, shares + y
     found = spearman(medians, shares)
-    axes.set(xlabel=f"median {named(metric).label}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
+    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
     return finished_beside(axes, AMPLITUDE)
@@ -189,7 +185,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
         sign = "+" if offset >= 0 else "-"
         name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
         axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
-    axes.set(xlabel=named(first).label, ylabel=named(second).label)
+    axes.set(xlabel=label_of(first), ylabel=label_of(second))
     axes.set_title(f"{names.size} participants, {found.trials} trials", fontsize="medium")
     return finished(axes)
 
@@ -207,7 +203,7 @@ def finished_beside(axes: Axes, title: str) -> Axes:
 def _shown(trials: Trials, metric: str) -> Values:
     if metric not in trials.metrics:
         raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
-    return trials.metrics[metric] * named(metric).factor
+    return shown_values(metric, trials.metrics[metric])
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from fingerflow.results.store import Store
-from fingerflow.schema.variables import Variable
+from fingerflow.schema.variable_record import Variable
 
 # Later stages weight points by it: its values stay, and its definition says that they are too small.
 _OF_POSITIONS = "position_std_px"

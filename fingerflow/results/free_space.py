@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 
 from fingerflow.errors import NoRoomError
-from fingerflow.schema.variables import LABELS, Variable
+from fingerflow.schema.variable_record import LABELS, Variable
 
 # Least size of a file relative to `size_of_results`: floating-point data are not compressed, but the shipped press
 # has only three quarters of the largest possible number of triangles.

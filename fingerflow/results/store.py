@@ -13,7 +13,8 @@ from h5py import h5a, h5ds, h5s, h5t
 from numpy.typing import NDArray
 
 from fingerflow.results.free_space import check_disk, check_memory, check_write
-from fingerflow.schema.variables import LABELS, TIME, Variable
+from fingerflow.schema.variable_record import LABELS, Variable
+from fingerflow.schema.variables import TIME
 
 _GROWING = ("point",)  # dimensions that may grow after a variable is created
 _CHUNK_BYTES = 1 << 20  # chunk cache of HDF5 for one variable

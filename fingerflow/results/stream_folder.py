@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.results.patient_file import PatientFile
 from fingerflow.schema.unfinished import remove, unfinished
-from fingerflow.schema.variables import FRAME, LABELS
+from fingerflow.schema.variable_record import LABELS
+from fingerflow.schema.variables import FRAME
 
 Array = NDArray[Any]
 RESULTS_FORMAT = 2

@@ -10,17 +10,8 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import StreamResults, read_results
-from fingerflow.schema.variables import (
-    CONTACT,
-    FIELDS,
-    FRAME_CHECK,
-    LABELS,
-    STREAM,
-    TIME,
-    TRACKING,
-    Variable,
-    by_name,
-)
+from fingerflow.schema.variable_record import LABELS, Variable
+from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TIME, TRACKING, by_name
 
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)

@@ -132,144 +132,232 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """Entry for one setting: its type, its default, and the readers that need it."""
+    """Entry of one setting.
+
+    Attributes:
+        type: its type and range.
+        help: what it means; shown in the commented scene file, the page's form and the documentation.
+        default: where it is left out.
+        needed_by: readers that need it.
+        unit: of its value, "" if it has none or the type states it.
+        sample: value that the commented scene file shows where there is no default.
+    """
 
     type: Type
+    help: str
     default: Any = None
     needed_by: frozenset[Reader] = NOBODY
+    unit: str = ""
+    sample: Any = None
 
 
 @dataclass(frozen=True)
 class SceneTable:
-    """Table of settings. If left out, it takes its defaults, or is None where a reader needs one of its keys."""
+    """Table of settings. If left out, it takes its defaults, or is None where a reader needs one of its keys.
+
+    Attributes:
+        keys: its settings and tables.
+        help: what it is about.
+        needed_by: readers that need it.
+        sample: value that the commented scene file shows for an optional table within another.
+    """
 
     keys: Mapping[str, "SceneKey | SceneTable"]
+    help: str = ""
     needed_by: frozenset[Reader] = NOBODY
+    sample: Any = None
+
+
+_UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name of a key ends with
+
+
+def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
+    """Return the name of a key in words without its unit, and the unit, "" if it has none."""
+    if name == "mm_per_px":
+        return "scale", "mm/px"
+    for end, unit in _UNITS.items():
+        if name.endswith(end):
+            return name.removesuffix(end).replace("_", " "), unit
+    return name.replace("_", " "), key.unit if isinstance(key, SceneKey) else ""
 
 
 POSITIVE, FROM_0 = NumberType(above=0), Whole(least=0)
-RECTANGLE = {"rows": SceneKey(PixelRange(), needed_by=BOTH), "columns": SceneKey(PixelRange(), needed_by=BOTH)}
+RECTANGLE: dict[str, SceneKey | SceneTable] = {
+    "rows": SceneKey(PixelRange(), "rows of the frame that it covers, [first, last + 1)", needed_by=BOTH, unit="px"),
+    "columns": SceneKey(PixelRange(), "columns of the frame that it covers", needed_by=BOTH, unit="px"),
+}
 #: Region of a view by exactly one of these keys, in px of the view with integers at pixel centres.
 REGION = SceneTable(
     {
-        "polygon": SceneKey(CornersType()),
+        "polygon": SceneKey(CornersType(), "corners [[x, y], ...]", unit="px"),
         "ellipse": SceneTable(
             {
-                "center": SceneKey(Pair(), needed_by=BOTH),
-                "semi_axes": SceneKey(Pair(POSITIVE), needed_by=BOTH),
-                "angle": SceneKey(NumberType(), default=0.0),
-            }
+                "center": SceneKey(Pair(), "centre [x, y]", needed_by=BOTH, unit="px"),
+                "semi_axes": SceneKey(Pair(POSITIVE), "semi-axes [a, b]", needed_by=BOTH, unit="px"),
+                "angle": SceneKey(NumberType(), "of the axis a, from x towards y", default=0.0, unit="rad"),
+            },
+            "ellipse in the view",
         ),
-        "mask": SceneKey(File(there_for=PROCESS)),
-    }
+        "mask": SceneKey(File(there_for=PROCESS), "image of the size of the view; where it is not black is inside"),
+    },
+    "where skin may touch (contact view) or points are seeded (topography view): {ellipse = {...}}, or {polygon = "
+    '[[x, y], ...]}, or {mask = "mask.png"}, where it is not black; px of the view',
+    sample={"ellipse": {"center": [320, 256], "semi_axes": [200, 150]}},
 )
 
 SCENE: dict[str, SceneKey | SceneTable] = {
     "recording": SceneTable(
         {
-            "frames": SceneKey(File(there_for=PROCESS), needed_by=PROCESS),
-            "frame_rate": SceneKey(NumberType(above=1e-6)),
-            "trigger_frame": SceneKey(FROM_0),
-            "first_frame": SceneKey(FROM_0, default=0),
-            "last_frame": SceneKey(FROM_0),
+            "frames": SceneKey(File(there_for=PROCESS),
+                "recording: .cine, .mraw/.cih, TIFF, AVI/MP4/MKV, HDF5, .npy or a folder of images",
+                needed_by=PROCESS, sample="frames.cine"),
+            "frame_rate": SceneKey(NumberType(above=1e-6), "only where the recording does not state it",
+                unit="Hz", sample=300.0),
+            "trigger_frame": SceneKey(FROM_0, "frame at time 0, only where the recording does not state it", sample=12),
+            "first_frame": SceneKey(FROM_0, "first frame that counts", default=0),
+            "last_frame": SceneKey(FROM_0, "last frame that counts", sample=299),
         },
-        needed_by=PROCESS,
+        "frames of the trial, numbered from 0 as in the file", needed_by=PROCESS,
     ),
     "background": SceneTable(
         {
-            "frames": SceneKey(File(there_for=PROCESS), needed_by=BOTH),
-            "dark": SceneKey(File(there_for=PROCESS)),
+            "frames": SceneKey(File(there_for=PROCESS), "of the empty glass; several frames are averaged",
+                needed_by=BOTH, sample="empty.cine"),
+            "dark": SceneKey(File(there_for=PROCESS), "without light", sample="dark.cine"),
         },
-        needed_by=PROCESS,
+        "pictures without a finger", needed_by=PROCESS,
     ),
     "calibration": SceneTable(
         {
-            "file": SceneKey(File(calibration=True)),
-            "mm_per_px": SceneKey(NumberType(above=0, most=1)),
+            "file": SceneKey(File(calibration=True), "from `fingerflow calibrate`; in place of the other keys",
+                sample="calibration.toml"),
+            "mm_per_px": SceneKey(NumberType(above=0, most=1), "of the contact view", unit="mm/px", sample=0.02),
             # Used only if there is a topography view.
-            "topography_to_contact": SceneKey(TransformType(), default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+            "topography_to_contact": SceneKey(TransformType(), "affine map of px, topography view to contact view",
+                default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
         },
-        needed_by=BOTH,
+        "scale, and place of the views on each other", needed_by=BOTH,
     ),
     "forces": SceneTable(
         {
-            "file": SceneKey(File(there_for=PROCESS), needed_by=BOTH),
-            "normal": SceneKey(Column(), needed_by=BOTH),
-            "tangential": SceneKey(Column(several=2)),
-            "units": SceneKey(Choice(("N", "mN", "g", "kgf", "V"))),
-            "gain": SceneKey(Each()),
-            "sign": SceneKey(Each(among=(1, -1)), default=1.0),
-            "offset": SceneKey(Each()),
-            "tare": SceneKey(TimeRange()),
-            "trigger": SceneKey(Column()),
-            "trigger_level": SceneKey(NumberType()),
-            "time": SceneKey(Column()),
-            "sample_rate": SceneKey(POSITIVE),
+            "file": SceneKey(File(there_for=PROCESS), "CSV, HDF5, .mat or TDMS", needed_by=BOTH, sample="forces.csv"),
+            "normal": SceneKey(Column(), "channel of the normal force: its name in the file, or its number from 1",
+                needed_by=BOTH, sample="normal_force"),
+            "tangential": SceneKey(Column(several=2), 'channel of the tangential force, or two, ["fx", "fy"]',
+                sample="tangential_force"),
+            "units": SceneKey(Choice(("N", "mN", "g", "kgf", "V")), "of the forces, only where the file does not "
+                "state it", sample="N"),
+            "gain": SceneKey(Each(), "of the sensor, N/V where units is V; or one a channel, normal first",
+                sample=1.0),
+            "sign": SceneKey(Each(among=(1, -1)), "-1 where pressing is negative; or one a channel, [-1, 1]",
+                default=1.0, sample=1),
+            "offset": SceneKey(Each(), "reading without a load, in the unit of the file", sample=0.0),
+            "tare": SceneKey(TimeRange(), "time without contact, from the trigger: its mean is the zero; in place of "
+                "offset", unit="s", sample=[-0.5, -0.1]),
+            "trigger": SceneKey(Column(), "channel whose first rise through trigger_level is time 0", sample="trigger"),
+            "trigger_level": SceneKey(NumberType(), "in the unit of that channel", sample=2.5),
+            "time": SceneKey(Column(), "column of the time, only where the file does not name it so", sample="time"),
+            "sample_rate": SceneKey(POSITIVE, "only where the file has no time", unit="Hz", sample=1000.0),
         },
+        "force sensor",
     ),
     "contact": SceneTable(
         {
-            "median_px": SceneKey(Whole(least=3, most=63, odd=True), default=3),
-            "threshold": SceneKey(
-                Choice(("reference_frame", "per_frame"), NumberType(above=0, below=1)), default="reference_frame"
-            ),
-            "gross_radius_px": SceneKey(Whole(least=1, most=255), default=8),
+            "median_px": SceneKey(Whole(least=3, most=63, odd=True),
+                "side of the median filter; the paper has 9, which rounds the ends of ridges", default=3),
+            "threshold": SceneKey(Choice(("reference_frame", "per_frame"), NumberType(above=0, below=1)),
+                "relative intensity loss that is contact; the words: Otsu's at the largest force, or of each frame",
+                default="reference_frame"),
+            "gross_radius_px": SceneKey(Whole(least=1, most=255), "half the distance between ridges, or a little more",
+                default=8),
         },
+        "segmentation of real and gross contact",
     ),
     "tracking": SceneTable(
         {
-            "points": SceneKey(Whole(least=3), default=700),
-            "window_px": SceneKey(Whole(least=5, most=255, odd=True), default=25),
-            "min_distance_px": SceneKey(POSITIVE, default=6.0),
-            "points_from": SceneKey(Choice(("recorded", "enhanced")), default="recorded"),
-            "direction": SceneKey(Choice(("forward", "backward")), default="forward"),
-            "template": SceneKey(Choice(("keyframe", "previous")), default="keyframe"),
-            "forward_backward_limit_px": SceneKey(POSITIVE, default=1.0),
-            "search_px": SceneKey(FROM_0, default=8),
-            "gain_offset": SceneKey(Switch(), default=True),
+            "points": SceneKey(Whole(least=3), "most points that are tracked", default=700),
+            "window_px": SceneKey(Whole(least=5, most=255, odd=True), "side of the window that is compared",
+                default=25),
+            "min_distance_px": SceneKey(POSITIVE, "least distance between two points", default=6.0),
+            "points_from": SceneKey(Choice(("recorded", "enhanced")), "picture in which points are seeded; enhanced: "
+                "without background, stretched, sharpened", default="recorded"),
+            "direction": SceneKey(Choice(("forward", "backward")), "of tracking; backward from the last frame",
+                default="forward"),
+            "template": SceneKey(Choice(("keyframe", "previous")), "frame that a window is compared with; errors add "
+                "up with the previous one", default="keyframe"),
+            "forward_backward_limit_px": SceneKey(POSITIVE, "largest distance after tracking forward and back",
+                default=1.0),
+            "search_px": SceneKey(FROM_0, "reach of the search for points that a jolt has carried away; 0 for none",
+                default=8),
+            "gain_offset": SceneKey(Switch(), "whether windows are compared up to gain and offset of the light",
+                default=True),
         },
+        "points on the skin",
     ),
     "fields": SceneTable(
         {
-            "reference": SceneKey(Moment(("onset", "first_frame")), default="onset"),
-            "gauge_length_mm": SceneKey(NumberType(above=0, most=100), default=1.6),
-            "strain": SceneKey(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
-            "young_modulus_mpa": SceneKey(POSITIVE, default=1.0),
-            "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), default=0.4),
-            "depth_mm": SceneKey(POSITIVE, default=2.0),
-            "rate_window_s": SceneKey(POSITIVE, default=0.05),
+            "reference": SceneKey(Moment(("onset", "first_frame")), 'a frame of the file (120), or a time ("0.25 '
+                's"): moment from which displacement counts; onset is that of each point', default="onset"),
+            "gauge_length_mm": SceneKey(NumberType(above=0, most=100), "diameter over which a gradient is fitted "
+                "(virtual strain gauge)", default=1.6),
+            "strain": SceneKey(Choice(("green_lagrange", "as_printed", "infinitesimal")), "measure of strain; "
+                "as_printed: Willemet et al. 2021, equation 1", default="green_lagrange"),
+            "young_modulus_mpa": SceneKey(POSITIVE, "of the skin", default=1.0),
+            "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), "of the skin", default=0.4),
+            "depth_mm": SceneKey(POSITIVE, "of skin over which strain energy is integrated", default=2.0),
+            "rate_window_s": SceneKey(POSITIVE, "over which rates are fitted", default=0.05),
         },
+        "deformation of the skin, and its elasticity",
     ),
     "slip": SceneTable(
         {
-            "criterion": SceneKey(Choice(("border", "displacement", "relative")), default="border"),
-            "stuck_mm": SceneKey(POSITIVE, default=0.04),
-            "displacement": SceneKey(Choice(("points", "dense_flow")), default="points"),
-        }
+            "criterion": SceneKey(Choice(("border", "displacement", "relative")), "of stick: no slip at all; "
+                "displacement below stuck_mm, as in the paper; or that relative to the rigid motion of the skin that "
+                "sticks",
+                default="border"),
+            "stuck_mm": SceneKey(POSITIVE, "limit of the criteria displacement and relative; the paper has 0.04",
+                default=0.04),
+            "displacement": SceneKey(Choice(("points", "dense_flow")), "of tracked points, or of all skin by dense "
+                "flow, compared with the points", default="points"),
+        },
+        "trial of tangential loading",
     ),
     "stream": SceneTable(
         {
-            "output": SceneKey(File(there_for=NOBODY)),
-            "region": SceneTable(RECTANGLE),
-            "rekey_share": SceneKey(NumberType(above=0, most=1)),
-            "rekey_frames": SceneKey(Whole(least=1)),
+            "output": SceneKey(File(there_for=NOBODY), "folder of the results", sample="live"),
+            "region": SceneTable(RECTANGLE, "part of the topography view in which points are seeded, by `process` too",
+                sample={"rows": [100, 400], "columns": [100, 540]}),
+            "rekey_share": SceneKey(NumberType(above=0, most=1), "least share of tracked points before templates are "
+                "updated", sample=0.8),
+            "rekey_frames": SceneKey(Whole(least=1), "most frames before templates are updated", sample=300),
         },
+        "player of a deployment bundle",
     ),
+}  # fmt: skip
+
+
+VIEW_HELP = {
+    "contact": "view in which contact darkens the picture",
+    "topography": "view of the ridges; leave it out where there is none: areas only",
+    "camera": "the only view",
 }
 
 
 def views_of(kind: Kind) -> SceneTable:
     """Return the table [views] of a kind of scene: a rectangle for each view, and a region in it."""
-    keys: dict[str, SceneKey | SceneTable] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
-    tables: dict[str, SceneKey | SceneTable] = {name: SceneTable(keys, needed_by=BOTH) for name in kind.views}
-    tables |= {name: SceneTable(keys, needed_by=STREAM) for name in kind.optional_views}
-    return SceneTable(tables, needed_by=BOTH)
+    keys = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    tables: dict[str, SceneKey | SceneTable] = {
+        name: SceneTable(keys, VIEW_HELP.get(name, ""), BOTH if name in kind.views else STREAM)
+        for name in (*kind.views, *kind.optional_views)
+    }
+    return SceneTable(tables, "rectangles of the frame", BOTH)
 
 
 def optional(table: SceneKey | SceneTable) -> SceneTable:
     """Return the same table with keys that no reader needs."""
     assert isinstance(table, SceneTable)
-    return SceneTable({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
+    keys = {name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()}
+    return replace(table, keys=keys, needed_by=NOBODY)
 
 
 # Rules between keys, named by their dotted paths. An error is reported for the first key of a rule.

@@ -1,61 +1,48 @@
-"""Result variables of a trial: name, dimensions, unit and definition of each, stated once.
+"""Result variables of a trial: name, dimensions, unit, definition, equation and unit for people, stated once.
 
-The data set, its files and tables, the records of a stream and the report use these entries. Only the standard library
-is imported, because an exported bundle contains this file.
+The data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries.
+Only the standard library is imported, because an exported bundle contains this file.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from operator import truediv
-from typing import Any
 
-#: Coordinate labels of dimensions.
-LABELS = {
-    "xy": ("x", "y"),
-    "axis": ("major", "minor"),
-    "strain_component": ("exx", "eyy", "exy"),
-    "shear_component": ("along_axes", "along_diagonals"),
-    "principal": ("major", "minor"),
-}
+from fingerflow.schema.variable_record import (
+    MICROJOULE,
+    MICROMETRE,
+    MILLISECOND,
+    PERCENT,
+    PERCENT_PER_S,
+    UM_PER_MM,
+    UM_PER_MM_S,
+    Variable,
+)
 
-
-@dataclass(frozen=True)
-class Variable:
-    """Result variable.
-
-    Attributes:
-        name: in the data set, in tables and in records.
-        dims: names of its dimensions.
-        units: in UDUNITS notation; "1" if dimensionless.
-        long_name: its definition.
-        kind: data type in NumPy notation.
-        needs: keys of the scene without which it is not computed.
-        flags: meanings of the values 0, 1, 2 ...
-        unasked: whether it is computed by default, without being requested by name.
-        formula, of: function of other results of the same stage, and their names, where that suffices to compute it.
-    """
-
-    name: str
-    dims: tuple[str, ...]
-    units: str
-    long_name: str
-    kind: str = "f8"
-    needs: tuple[str, ...] = ()
-    flags: tuple[str, ...] = ()
-    unasked: bool = True
-    formula: Callable[..., Any] | None = None
-    of: tuple[str, ...] = ()
-
-    def attributes(self) -> dict[str, object]:
-        """Return its attributes by the CF conventions."""
-        flags: dict[str, object] = {}
-        if self.flags:
-            flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
-        return {"units": self.units, "long_name": self.long_name, **flags}
-
+#: Symbols of the equations.
+SYMBOLS = """\
+I is a pixel of a frame, I₀ of the empty glass, D without light; s mm per pixel of the contact view; x the position of a
+point on the glass, X its reference position, u = x − X = (u, v) its displacement; u_x = ∂u/∂X and so on, from planes
+fitted to u with weights (1 − (r/R)²)² within R, half of fields.gauge_length_mm; σ a standard deviation, Σ the
+covariance of the inputs, propagated to first order. E, ν and h are fields.young_modulus_mpa, poisson_ratio and
+depth_mm.
+"""
 
 FRAME, POINT, FRAME_POINT, TRIANGLE = ("frame",), ("point",), ("frame", "point"), ("frame", "triangle")
 CELLS = ("frame", "cell_row", "cell_column")
+
+_STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
+_MEDIAN_STD_EQUATION = (
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
+    "from, Δ the change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the "
+    "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
+    "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
+)
+_RATE_EQUATION = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
+_STRAIN_EQUATION = (
+    "e_xx = u_x + (u_x² + v_x²)/2, e_yy = v_y + (u_y² + v_y²)/2, e_xy = (u_y + v_x)/2 + (u_x u_y + v_x v_y)/2; "
+    "as_printed: e_xy without its products; infinitesimal: without any"
+)
+_RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
@@ -63,70 +50,95 @@ TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first fr
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
 DARK_SHARE = 0.1  # of the light of the empty glass; a frame below is dark, while a contact leaves half of it
 SATURATED_SHARE = 0.5  # of the blocks at the highest grey level; a frame above is saturated
+
+# fmt: off
 FRAME_CHECK = (
     Variable(
-        "frame_status",
-        FRAME,
-        "1",
-        "whether a frame is a picture of the trial; where it is not, results are NaN",
-        "u1",
+        "frame_status", FRAME, "1", "whether a frame is a picture of the trial; where it is not, results are NaN",
+        "u1", equation="by light, saturation and distance of each frame from those before and after",
         flags=FRAME_STATUS,
     ),
 )
 
 LOADING = (
-    Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
     Variable(
-        "tangential_force",
-        FRAME,
-        "N",
-        "tangential force; its length where two components are given",
-        needs=("forces.tangential",),
+        "normal_force", FRAME, "N", "normal force",
+        equation="N(t), zero-phase low pass to half the frame rate, at the times of the frames", needs=("forces",),
     ),
     Variable(
-        "tangential_direction",
-        FRAME,
-        "rad",
+        "tangential_force", FRAME, "N", "tangential force; its length where two components are given",
+        equation="T(t), as the normal force", needs=("forces.tangential",),
+    ),
+    Variable(
+        "tangential_direction", FRAME, "rad",
         "direction of the tangential force from the first component towards the second, of one channel 0 or pi by its "
         "sign; NaN below 0.05 N",
-        needs=("forces.tangential",),
+        equation="atan2(T_2, T_1); NaN where T < 0.05 N", needs=("forces.tangential",),
     ),
     Variable(
-        "load_ratio",
-        FRAME,
-        "1",
+        "load_ratio", FRAME, "1",
         "friction ratio: tangential over normal force, T/N; NaN where the normal force is below 0.05 N",
-        needs=("forces.tangential",),
+        equation="T/N; NaN where N < 0.05 N", needs=("forces.tangential",), label="friction ratio T/N",
     ),
     Variable(
-        "force_angle",
-        FRAME,
-        "rad",
+        "force_angle", FRAME, "rad",
         "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
-        needs=("forces.tangential",),
+        equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",),
     ),
 )
 
 CONTACT = (
-    Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact"),
-    Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions"),
-    Variable("gross_contact_area", FRAME, "mm2", "area of the region that the contact spans (apparent contact area)"),
     Variable(
-        "contact_area_ratio",
-        FRAME,
-        "1",
-        "real over gross contact area",
-        formula=truediv,
+        "contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact",
+        equation="Otsu's threshold of 1 − (I − D)/(I₀ − D), or contact.threshold",
+    ),
+    Variable(
+        "real_contact_area", FRAME, "mm2", "area of the micro-junctions",
+        equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px",
+    ),
+    Variable(
+        "gross_contact_area", FRAME, "mm2", "apparent (gross) contact area, that of the region which the contact spans",
+        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as inside",
+    ),
+    Variable(
+        "contact_area_ratio", FRAME, "1", "real over gross contact area",
+        equation="real_contact_area / gross_contact_area", formula=truediv,
         of=("real_contact_area", "gross_contact_area"),
     ),
-    Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass"),
-    Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact"),
-    Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y"),
+    Variable(
+        "ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
+        equation="c = ∫ x dA / A over the gross contact",
+    ),
+    Variable(
+        "ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
+        equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A",
+    ),
+    Variable(
+        "ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
+        equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A",
+    ),
     Variable(
         "gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
-        unasked=False,
+        equation="1 in cells of the gross contact", unasked=False,
     ),
-)  # fmt: skip
+)
+
+#: Real contact area by figure S3 A of Willemet et al. (2021).
+PRINTED_CONTACT = (
+    Variable(
+        "printed_contact_threshold", FRAME, "1",
+        "Otsu's threshold of the intensity lost since the first instant of contact",
+        equation="Otsu's threshold of I(first contact)/I₀ − I/I₀, median of 9 x 9 px", unasked=False,
+    ),
+    Variable(
+        "printed_real_contact_area", FRAME, "mm2", "real contact area by the steps that Willemet et al. 2021 print",
+        equation="s² Σ 1[I(first contact)/I₀ − I/I₀ > printed_contact_threshold]", unasked=False,
+    ),
+    Variable(
+        "printed_eroded_contact_area", FRAME, "mm2", "the same, eroded by a unit diamond, as the lab's code has it",
+        equation="the same after erosion by a unit diamond", unasked=False,
+    ),
+)
 
 #: Names of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
@@ -144,20 +156,50 @@ TRACK_STATUS = (
     "not_chosen_yet",
 )
 TRACKING = (
-    Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
-    Variable("position_px", ("frame", "point", "xy"), "px", "position in the topographic view"),
-    Variable("position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4"),
-    Variable("forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4"),
-    Variable("status", FRAME_POINT, "1", "why a point has a position, or none", "u1", flags=TRACK_STATUS),
-    Variable("in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1"),
-    Variable("tracked_share", FRAME, "1", "share of the points that are tracked"),
     Variable(
-        "window_differs_share",
-        FRAME,
-        "1",
-        "share of the points that were followed to where their window differs from that in which they were chosen",
+        "position", ("frame", "point", "xy"), "mm", "position on the glass",
+        equation="s (A (x_px, 1)), A = calibration.topography_to_contact",
     ),
-    Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
+    Variable(
+        "position_px", ("frame", "point", "xy"), "px", "position in the topographic view",
+        equation="y with Σ_w g(w) (S(y + w) − T(w)) = 0, S the spline of the frame, T(w) = S_key(p + F⁻¹ w) the "
+        "template, F its deformation, g the gradient of T without its parts along a constant and along T",
+    ),
+    Variable(
+        "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
+        equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
+        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame",
+        label="standard deviation of the position",
+    ),
+    Variable(
+        "forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4",
+        equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)",
+    ),
+    Variable(
+        "status", FRAME_POINT, "1", "why a point has a position, or none", "u1",
+        equation="first test that a point has not passed", flags=TRACK_STATUS,
+    ),
+    Variable(
+        "in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1",
+        equation="1[position inside the gross contact]",
+    ),
+    Variable(
+        "tracked_share", FRAME, "1", "share of the points that are tracked",
+        equation="mean of 1[status = 0] over the points", shown_in=PERCENT,
+        label="points tracked",
+    ),
+    Variable(
+        "window_differs_share", FRAME, "1",
+        "share of the points that were followed to where their window differs from that in which they were chosen",
+        equation="mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows "
+        "then and now",
+        shown_in=PERCENT, label="points rejected by verification",
+    ),
+    Variable(
+        "forward_backward_median", FRAME, "px", "median forward-backward distance",
+        equation="median of forward_backward_error over the tracked points",
+        label="median forward-backward distance",
+    ),
 )
 
 ENTRY = ("never", "covered", "moved_in", "chosen_inside")
@@ -165,31 +207,46 @@ ENTRY = ("never", "covered", "moved_in", "chosen_inside")
 SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
     Variable(
-        "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4"
+        "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
+        equation="first frame of the first three in a row that the gross contact covers the point",
     ),
     Variable(
-        "entry",
-        POINT,
-        "1",
+        "entry", POINT, "1",
         "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
         "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
         "last of their points has touched; of skin that had no point until it was inside nobody knows when it came: "
         "it has no displacement",
         "u1",
+        equation="covered where the border of the gross contact came over the point, moved_in where the point "
+        "moved before over the glass by more than half of what both approached each other",
         flags=ENTRY,
     ),
     Variable(
-        "reference_position",
-        ("point", "xy"),
-        "mm",
+        "reference_position", ("point", "xy"), "mm",
         "position from which displacement counts (fields.reference), by default that at onset, where the border of the "
-        "contact passed the point between two frames; of points that are "
-        "touched in passing alone, where they were then",
+        "contact passed the point between two frames; of points that are touched "
+        "in passing alone, where they were then",
+        equation="X = position in the frame from which displacement counts; by onset x₀ + (x₁ − x₀) d₀/(d₀ − d₁) "
+        "between the frame before and that of onset, d the depth inside the ellipse of the gross contact",
     ),
-    Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
-    Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),
-    Variable("global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component"),
-    Variable("global_displacement", FRAME, "mm", "length of the median displacement"),
+    Variable(
+        "displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}", equation="u = x(t) − X",
+        shown_in=MICROMETRE,
+    ),
+    Variable(
+        "displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4",
+        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2)", shown_in=MICROMETRE,
+    ),
+    Variable(
+        "global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component",
+        equation="(median u, median v) over the points", shown_in=MICROMETRE,
+        label="median displacement",
+    ),
+    Variable(
+        "global_displacement", FRAME, "mm", "length of the median displacement",
+        equation="|global_displacement_vector|", shown_in=MICROMETRE,
+        label="median displacement",
+    ),
 )
 
 _MEDIAN = "over the area of the gross contact"
@@ -199,159 +256,249 @@ _ALONE = (
     "that is not known, and points that moved in"
 )
 FIELDS = (
-    Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
-    Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4"),
     Variable(
-        "shear",
-        ("frame", "point", "shear_component"),
-        "1",
+        "divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4", equation="u_x + v_y",
+        shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4", equation="v_x − u_y", shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "shear", ("frame", "point", "shear_component"), "1",
         "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
         "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6",
-        "f4",
-        unasked=False,
+        "f4", equation="(u_x − v_y, u_y + v_x)", shown_in=UM_PER_MM, unasked=False,
     ),
     Variable(
-        "rigid_residual",
-        ("frame", "point", "xy"),
-        "mm",
-        "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip",
-        "f4",
-        unasked=False,
+        "rigid_residual", ("frame", "point", "xy"), "mm",
+        "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip", "f4",
+        equation="u − (R X + t), R and t the rotation and the shift of least squares", shown_in=MICROMETRE,
+        unasked=False, label="non-rigid motion",
     ),
-    Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual"),
-    Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
-    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
     Variable(
-        "field_coverage",
-        FRAME,
-        "1",
+        "rigid_residual_median", FRAME, "mm", "median length of rigid_residual",
+        equation=f"median of {_RIGID_EQUATION}",
+        shown_in=MICROMETRE, label="median non-rigid motion",
+    ),
+    Variable(
+        "divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_STD_EQUATION, shown_in=UM_PER_MM,
+    ),
+    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable(
+        "field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
+        equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
+        shown_in=PERCENT,
     ),
-    Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
-    Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}"),
-    Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence"),
-    Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}"),
-    Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}"),
-    Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}"),
-    Variable("median_strain_std", ("frame", "strain_component"), "1", f"{_ERROR} median strain {_ALONE}"),
-    Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain"),
+    Variable(
+        "median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
+        equation="median of the divergence at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}", equation=_MEDIAN_STD_EQUATION,
+        shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
+        shown_in=UM_PER_MM_S,
+    ),
+    Variable(
+        "median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
+        equation="median of the curl at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}", equation=_MEDIAN_STD_EQUATION,
+        shown_in=UM_PER_MM,
+    ),
+    Variable(
+        "median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}",
+        equation=f"median over 800 places evenly over the gross contact's ellipse of {_STRAIN_EQUATION}",
+        shown_in=PERCENT,
+    ),
+    Variable(
+        "median_strain_std", ("frame", "strain_component"), "1", f"{_ERROR} median strain {_ALONE}",
+        equation=_MEDIAN_STD_EQUATION, shown_in=PERCENT,
+    ),
+    Variable(
+        "median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain", equation=_RATE_EQUATION,
+        shown_in=PERCENT_PER_S,
+    ),
 )
 
 STRAIN = (
-    Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
-    Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4"),
-    Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
     Variable(
-        "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4", unasked=False
+        "triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4",
+        equation="Delaunay triangulation of reference_position",
     ),
     Variable(
-        "principal_angle",
-        TRIANGLE,
-        "rad",
-        "direction of the major principal strain, from x towards y",
-        "f4",
-        unasked=False,
+        "strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4",
+        equation=f"{_STRAIN_EQUATION}; u_x ... of the triangle: linear between its corners", shown_in=PERCENT,
     ),
-    Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
-    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact between points, less that of noise"),
-    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy, with that of the border's place"),
-    Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy"),
+    Variable(
+        "strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4",
+        equation=_STD_EQUATION, shown_in=PERCENT,
+    ),
+    Variable(
+        "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4",
+        equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=PERCENT, unasked=False,
+    ),
+    Variable(
+        "principal_angle", TRIANGLE, "rad", "direction of the major principal strain, from x towards y", "f4",
+        equation="½ atan2(2 e_xy, e_xx − e_yy)", unasked=False,
+    ),
+    Variable(
+        "strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
+        equation="w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²",
+        shown_in=MICROJOULE,
+    ),
+    Variable(
+        "strain_energy", FRAME, "mJ", "strain energy of the skin in contact between points, less that of noise",
+        equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
+    ),
+    Variable(
+        "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy, with that of the border's place",
+        equation="√(σ²(points) + (h w̄ p b)²), w̄ the mean w within half a gauge length of the border, p its perimeter, "
+        "b = 0.06 mm its deviation",
+    ),
+    Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
 )
 
 SLIP = (
-    Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped"),
-    Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²"),
-    Variable("stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1"),
-    Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show"),
-    Variable("slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped"),
     Variable(
-        "slip_direction",
-        FRAME,
-        "rad",
+        "stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
+        equation="stuck_ratio gross_contact_area",
+        label="stick area",
+    ),
+    Variable(
+        "stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
+        equation="d² = stuck share of the gross contact's area",
+        label="stick ratio d²",
+    ),
+    Variable(
+        "stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1",
+        equation="1 in cells of the largest connected part of the contact that has not slipped (slip.criterion)",
+        label="stick region",
+    ),
+    Variable(
+        "slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
+        equation="share of the gross contact within half a window of a tracked point", shown_in=PERCENT,
+    ),
+    Variable(
+        "slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped",
+        equation="(1 − d²) gross_contact_area",
+    ),
+    Variable(
+        "slip_direction", FRAME, "rad",
         "direction of the mean displacement of the skin in contact that has slipped, from x towards y",
+        equation="atan2(mean v, mean u) over the points that have slipped",
     ),
-    Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped"),
     Variable(
-        "incipient_slip",
-        FRAME,
-        "mm",
+        "slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped",
+        equation="|mean of (x(t + 25 ms) − x(t − 25 ms))| / 50 ms over the points that have slipped",
+    ),
+    Variable(
+        "incipient_slip", FRAME, "mm",
         "root mean square over the contact of the displacement since the first frame without its best rigid motion",
+        equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE,
     ),
     Variable(
-        "incipient_slip_irrotational",
-        FRAME,
-        "mm",
+        "incipient_slip_irrotational", FRAME, "mm",
         "root mean square of the part of incipient_slip that its divergence makes: natural Helmholtz-Hodge "
         "decomposition, no boundary condition (Bhatia et al. 2014)",
+        equation="√(∫ |∇φ|² dA / A), ∇²φ = div of the residual displacement", shown_in=MICROMETRE,
     ),
     Variable(
-        "incipient_slip_solenoidal",
-        FRAME,
-        "mm",
+        "incipient_slip_solenoidal", FRAME, "mm",
         "root mean square of the part of incipient_slip that its curl makes",
+        equation="√(∫ |∇×ψ|² dA / A), ∇²ψ = −curl of the residual displacement", shown_in=MICROMETRE,
     ),
     Variable(
-        "skin_displacement",
-        (*CELLS, "xy"),
-        "mm",
+        "skin_displacement", (*CELLS, "xy"), "mm",
         "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame",
-        "f4",
+        "f4", equation="u by dense flow at the places of the first frame", shown_in=MICROMETRE,
         needs=("dense_flow_slip",),
     ),
     Variable(
-        "dense_flow_difference",
-        FRAME,
-        "mm",
+        "dense_flow_difference", FRAME, "mm",
         "median over tracked points of the distance between their displacement and that by dense flow",
-        needs=("dense_flow_slip",),
+        equation="median over tracked points of |u − u by dense flow|", shown_in=MICROMETRE, needs=("dense_flow_slip",),
     ),
     Variable(
-        "dense_flow_difference_95",
-        FRAME,
-        "mm",
+        "dense_flow_difference_95", FRAME, "mm",
         "95th percentile over tracked points of the distance between their displacement and that by dense flow",
+        equation="95th percentile over tracked points of |u − u by dense flow|", shown_in=MICROMETRE,
         needs=("dense_flow_slip",),
     ),
 )
 
 #: Variables of a soft sensor, where markers on a gel are tracked.
 SENSOR_SLIP = (
-    Variable("slip_ratio", FRAME, "1", "share of the markers in contact that depart from its best rigid motion"),
-    Variable("contact_displacement", ("frame", "xy"), "mm", "mean displacement of the markers in contact since rest"),
     Variable(
-        "gross_slip",
-        FRAME,
-        "1",
-        "1 where the markers in contact spring back: the object slides, or lets go of a sheared gel",
-        "u1",
+        "slip_ratio", FRAME, "1", "share of the markers in contact that depart from its best rigid motion",
+        equation="share of the markers in contact with |u − (R X + t)| > slip.stuck_mm",
+        label="share of markers that slipped",
+    ),
+    Variable(
+        "contact_displacement", ("frame", "xy"), "mm", "mean displacement of the markers in contact since rest",
+        equation="mean u over the markers in contact", shown_in=MICROMETRE,
+        label="mean displacement in contact",
+    ),
+    Variable(
+        "gross_slip", FRAME, "1",
+        "1 where the markers in contact spring back: the object slides, or lets go of a sheared gel", "u1",
+        equation="1 where Σ (u(t−1) − u(t))·ū/|ū| ≥ |ū|/3 on average and > 0 for 3/4 of the markers in contact",
         flags=("no", "gross_slip"),
     ),
 )
 
 #: Variables of streams alone: the state of the stream, and fields that its graphs compute differently.
 STREAM = (
-    Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4"),
-    Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8"),
     Variable(
-        "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4"
+        "latency", FRAME, "s", "from the arrival of the frame to its result", "f4", equation="t(result) − t(frame)",
+        shown_in=MILLISECOND,
     ),
-    Variable("slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4"),
     Variable(
-        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip", "u1"
+        "key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8",
+        equation="number of the frame that templates are from",
     ),
-    Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
-    Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),
     Variable(
-        "moved_in",
-        FRAME_POINT,
-        "1",
+        "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4",
+        equation="count of choices of points",
+    ),
+    Variable(
+        "slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4",
+        equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
+    ),
+    Variable(
+        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip",
+        "u1", equation="1 where slip_residual > 2 σ in three frames",
+        label="partial slip",
+    ),
+    Variable(
+        "light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
+        equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass",
+    ),
+    Variable(
+        "point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4",
+        equation=_STRAIN_EQUATION, shown_in=PERCENT,
+    ),
+    Variable(
+        "moved_in", FRAME_POINT, "1",
         "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
         "entry, its neighbours from that moment",
-        "u1",
+        "u1", equation="1 where neighbours that touch have moved by an eighth of the gauge length, in the median",
     ),
 )
+# fmt: on
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
     """Return variables by their names."""
     return {variable.name: variable for group in groups for variable in group}
+
+
+#: Every variable of results and streams by its name.
+VARIABLES: dict[str, Variable] = by_name(
+    (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, SENSOR_SLIP,
+    STREAM,
+)  # fmt: skip

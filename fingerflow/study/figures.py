@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 
 from fingerflow.plot.axes_style import finished
 from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, METRICS, finished_beside
+from fingerflow.report.trial_metrics import AMPLITUDE, finished_beside
+from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
 _FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
@@ -72,19 +73,18 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     """Draw a metric against normal force, one line per condition, with its 95 % band by participants."""
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
-    shown = METRICS[metric]
+    shown = NUMBERS[metric]
     # The range of the axis follows the means: an interval of two participants is many times wider.
-    means = shown.factor * own["mean"]
+    means = shown.shown_values(own["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
     for condition, colour in zip(conditions, colormaps["viridis"](np.linspace(0, 0.9, len(conditions))), strict=True):
         part = own[own["condition"] == condition]
-        force, mean = part["normal_force_N"], shown.factor * part["mean"]
+        force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
         axes.plot(force, mean, color=colour, label=_named(condition) if len(conditions) <= _MOST_NAMED else None)
-        axes.fill_between(
-            force, shown.factor * part["low"], shown.factor * part["high"], color=colour, alpha=0.15, linewidth=0
-        )
+        low, high = shown.shown_values(part["low"]), shown.shown_values(part["high"])
+        axes.fill_between(force, low, high, color=colour, alpha=0.15, linewidth=0)
     low, high = axes.get_ylim()
-    axes.set(xlabel="normal force (N)", ylabel=shown.label)
+    axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, float(means.min()) - margin), min(high, float(means.max()) + margin))
     return finished_beside(axes, AMPLITUDE) if axes.get_legend_handles_labels()[0] else finished(axes)
 

@@ -13,9 +13,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.opening import READER_OF
 from fingerflow.recordings.frames.opening import READERS
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.schema.scene import scene_text
 from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
-from fingerflow.schema.toml_string import toml_string
+from fingerflow.schema.scene_template import scene_text
+from fingerflow.schema.toml_value import toml_value
 from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, read_rows
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
@@ -107,7 +107,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
         for name, value in values.items():
             if name not in common or name == "recording.frames":
                 column = {"recording.frames": RECORDING, "forces.file": FORCES}.get(name, name)
-                row[column] = value if isinstance(value, str) else _toml(value)
+                row[column] = value if isinstance(value, str) else toml_value(value)
     common.pop("recording.frames", None)
     shared: dict[str, Any] = {}
     for name, value in common.items():
@@ -218,15 +218,7 @@ def _under_scene(text: str) -> str:
 
 def _toml_tables(values: Mapping[str, Any], place: tuple[str, ...]) -> str:
     plain = {name: value for name, value in values.items() if not isinstance(value, Mapping)}
-    own = "".join(f"{name} = {_toml(value)}\n" for name, value in plain.items())
+    own = "".join(f"{name} = {toml_value(value)}\n" for name, value in plain.items())
     lines = [f"[{'.'.join(place)}]\n{own}"] if plain else []
     tables = [_toml_tables(value, (*place, name)) for name, value in values.items() if isinstance(value, Mapping)]
     return "\n".join(lines + tables)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_toml, value))}]"
-    return toml_string(value) if isinstance(value, str) else repr(value)

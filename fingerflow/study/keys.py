@@ -18,7 +18,7 @@ from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.schema.scene import Scene
 
 _PARTS = ("result", "row")
-_ROW = ("row.py", "columns.py")  # beside this file
+_ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that decide what is in a row
 _IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
 _WHOLE_BYTES = 16 << 20  # size up to which a file is digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
@@ -123,7 +123,7 @@ def code_of(part: str) -> str:
     """Return the digest of the code behind a part, "result" or "row"."""
     if part == "result":
         return code_version()
-    return digest_of(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _ROW))
+    return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
 
 
 def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:

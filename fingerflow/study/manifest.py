@@ -13,7 +13,7 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
-from fingerflow.study.columns import OF_RESULTS
+from fingerflow.schema.trial_columns import OF_RESULTS
 
 #: Columns of a table of trials that the study reads; a column name with a dot is a key of the scene.
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (

@@ -19,6 +19,7 @@ from fingerflow.report.views import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.files import MEASURED, read_row
@@ -85,13 +86,13 @@ def write_study_report(
     html = template.render(
         study=manifest.path.parent.name,
         rows=_rows(manifest, frame),
-        shown=[(name, METRICS[name].label, METRICS[name].factor) for name in _SHOWN if name in frame],
+        shown=[(name, NUMBERS[name].axis_label) for name in _SHOWN if name in frame],
         counted=sample.counted,
         statuses=frame["status"].value_counts().to_dict(),
         answered=sample.answered,
         figures=figures,
         statistics=statistics,
-        labels={name: shown.label.partition(" (")[0] for name, shown in METRICS.items()},
+        metrics=NUMBERS,
         pages_failed=said,
     )
     path = manifest.results / "index.html"
@@ -185,11 +186,11 @@ def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
                 "usable": values["usable_frames"] / values["frames"] if measured else None,
                 "coverage": values["coverage"] if measured and np.isfinite(values["coverage"]) else None,
                 "outlier": outlier.deviations if measured else None,
-                "by": METRICS[outlier.metric].label.partition(" (")[0] if outlier.metric else "",
+                "by": NUMBERS[outlier.metric].words if outlier.metric else "",
                 "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
                 "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
                 "values": {
-                    name: METRICS[name].factor * values[name] if np.isfinite(values[name]) else None
+                    name: NUMBERS[name].shown_values(values[name]) if np.isfinite(values[name]) else None
                     for name in _SHOWN
                     if name in frame
                 },

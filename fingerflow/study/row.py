@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.results.result import Own
-from fingerflow.study.columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
+from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
 Series = NDArray[np.float64]
 Moment = tuple[int, int, float]  # two frames, and the share of the way between them
@@ -55,7 +55,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
     row |= trial.of_the_whole()
-    for name, _, _, has_std, largest in AT_MOMENTS:
+    for name, _, _, has_std, largest, _ in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
         if series is None:
             continue

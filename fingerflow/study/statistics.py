@@ -22,6 +22,7 @@ from fingerflow.models.observer import (
     spearman,
 )
 from fingerflow.report.trial_metrics import METRICS
+from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.files import MEASURED
 
 _FIRST = "divergence"  # the metric that the others are compared with
@@ -156,8 +157,12 @@ def _groups(trials: Trials, resamples: int, seed: int) -> Any:
         return {"reason": "needs the divergence"}
     names = np.unique(trials.participant)
     medians = [_median(trials.metrics[_FIRST][trials.participant == name]) for name in names]
-    groups = participant_groups(1e3 * np.array(medians), resamples, seed)
-    return {**asdict(groups), "names": names.tolist(), "medians_um_mm": [1e3 * value for value in medians]}
+    divergence = NUMBERS[_FIRST]
+    shown = divergence.shown_values(np.array(medians))
+    groups = participant_groups(shown, resamples, seed)
+    return {
+        **asdict(groups), "names": names.tolist(), "medians": shown.tolist(), "unit": divergence.shown_unit.name
+    }  # fmt: skip
 
 
 def _median(values: NDArray[np.float64]) -> float:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.study.columns import FACTS, NORMALISED, NUMBERS
+from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
 from fingerflow.study.files import MEASURED, TrialRow, read_row
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.row import CURVES, FORCE_GRID

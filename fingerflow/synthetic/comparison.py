@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.ops.tracking.track_points import TrackStatus
+from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
 
@@ -79,29 +80,26 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     frames = [*looked[::2], last]
     since = result["median_divergence"].attrs.get("reference_frame")
     medians = {i: truth.medians(i, reference=since) for i in frames}
-    true_displacement = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
-    displacement = float(result["global_displacement"].values[last])
-    rows.append(
-        Comparison(
-            "global displacement", "mm", displacement, true_displacement, f"{displacement - true_displacement:+.4f} mm"
-        )
-    )
-    strain = result["median_strain"].values
-    for quantity, measured, true in (
-        ("median divergence", result["median_divergence"].values[frames], [medians[i].divergence for i in frames]),
-        ("median curl", result["median_curl"].values[frames], [medians[i].curl for i in frames]),
-        ("median strain exx", strain[frames, 0], [medians[i].exx for i in frames]),
-        ("median strain eyy", strain[frames, 1], [medians[i].eyy for i in frames]),
-        ("median strain exy", strain[frames, 2], [medians[i].exy for i in frames]),
+    moved = np.array([[medians[i].displacement_x, medians[i].displacement_y] for i in frames])
+    strain = result["median_strain"].values[frames].T
+    for name, component, measured, true in (
+        ("global_displacement", "", result["global_displacement"].values[frames], np.hypot(*moved.T)),
+        ("median_divergence", "", result["median_divergence"].values[frames], [medians[i].divergence for i in frames]),
+        ("median_curl", "", result["median_curl"].values[frames], [medians[i].curl for i in frames]),
+        ("median_strain", " exx", strain[0], [medians[i].exx for i in frames]),
+        ("median_strain", " eyy", strain[1], [medians[i].eyy for i in frames]),
+        ("median_strain", " exy", strain[2], [medians[i].exy for i in frames]),
     ):
-        error = 1000 * (measured - np.array(true))
+        variable = VARIABLES[name]
+        found, expected = variable.shown_values(measured), variable.shown_values(np.array(true))
+        error = found - expected
         rows.append(
             Comparison(
-                quantity,
-                "µm/mm",
-                float(1000 * measured[-1]),
-                float(1000 * true[-1]),
-                f"{error[-1]:+.2f} (worst frame: {error[np.nanargmax(np.abs(error))]:+.2f})",
+                f"{variable.words}{component}",
+                variable.shown_unit.name,
+                float(found[-1]),
+                float(expected[-1]),
+                f"{error[-1]:+.3g} (worst frame: {error[np.nanargmax(np.abs(error))]:+.3g})",
             )
         )
     return rows

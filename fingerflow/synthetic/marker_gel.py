@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import gel_scene_text
+from fingerflow.schema.scene_template import gel_scene_text
 from fingerflow.synthetic.camera import Camera
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import torch
 from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import scene_text
+from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.unfinished import unfinished as hidden
 from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera

@@ -10,10 +10,11 @@ from tomlkit.items import Table as TomlTable
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording
 from fingerflow.results.atomic_write import spare, write_atomically
-from fingerflow.schema.scene import Scene, scene_of_text, scene_text
+from fingerflow.schema.scene import Scene, scene_of_text
 from fingerflow.schema.scene_check import MISSING, check_scene
 from fingerflow.schema.scene_keys import SCENE
 from fingerflow.schema.scene_kinds import KINDS, default_kind
+from fingerflow.schema.scene_template import scene_text
 
 Keys = tuple[str, ...]
 #: Messages for missing keys that need more than "is needed".

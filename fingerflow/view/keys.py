@@ -2,7 +2,20 @@
 
 from typing import Any
 
-from fingerflow.schema.scene_keys import SCENE, Choice, File, NumberType, SceneKey, SceneTable, Switch, Text, Whole
+from fingerflow.schema.scene_keys import (
+    SCENE,
+    Choice,
+    Column,
+    File,
+    NumberType,
+    SceneKey,
+    SceneTable,
+    Switch,
+    Text,
+    Type,
+    Whole,
+    words_of,
+)
 from fingerflow.schema.scene_kinds import KINDS
 
 
@@ -11,36 +24,52 @@ def kinds() -> list[str]:
     return list(KINDS)
 
 
-def forms() -> dict[str, list[dict[str, Any]]]:
-    """Return the keys of each table with name, kind of input, limits and default.
+def forms() -> dict[str, dict[str, Any]]:
+    """Return the tables with help and keys; of each key name, label, help, kind of input, limits and default.
 
     Views are not among them, as they are drawn.
     """
     return {
-        name: [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)]
+        name: {
+            "help": table.help,
+            "keys": [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)],
+        }
         for name, table in SCENE.items()
         if isinstance(table, SceneTable)
     }
 
 
 def _form(name: str, key: SceneKey) -> dict[str, Any]:
-    kind = key.type
-    said: dict[str, Any] = {"name": name, "default": key.default, "needed": "process" in key.needed_by}
+    words, unit = words_of(name, key)
+    label = f"{words} ({unit})" if unit else words
+    return {
+        "name": name,
+        "label": label,
+        "help": key.help,
+        "default": key.default,
+        "needed": "process" in key.needed_by,
+        **_input(key.type),
+    }
+
+
+def _input(kind: Type) -> dict[str, Any]:
     match kind:
         case Whole():
-            return {**said, "input": "whole", **_limits(kind), "odd": kind.odd}
+            return {"input": "whole", **_limits(kind), "odd": kind.odd}
         case NumberType():
-            return {**said, "input": "number", **_limits(kind)}
+            return {"input": "number", **_limits(kind)}
         case Choice():
-            return {**said, "input": "choice", "words": kind.words, "number": kind.number and _limits(kind.number)}
+            return {"input": "choice", "words": kind.words, "number": kind.number and _limits(kind.number)}
         case Switch():
-            return {**said, "input": "switch"}
+            return {"input": "switch"}
         case File():
-            return {**said, "input": "file"}
+            return {"input": "file"}
         case Text():
-            return {**said, "input": "text"}
+            return {"input": "text"}
+        case Column():
+            return {"input": "column"}
         case _:
-            return {**said, "input": "toml"}  # a matrix or polygon, as TOML text
+            return {"input": "toml"}  # a matrix or polygon, as TOML text
 
 
 def _limits(number: NumberType) -> dict[str, float | None]:

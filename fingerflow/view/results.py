@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.hdf5 import open_hdf5
 from fingerflow.results.result import open_result
-from fingerflow.schema.variables import LABELS
+from fingerflow.schema.variable_record import LABELS
 
 _SAMPLED = 24  # frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at its end
@@ -46,7 +46,7 @@ class Results:
         self._file.close()
 
     def facts(self) -> dict[str, Any]:
-        """Return what can be shown, with labels and units."""
+        """Return what can be shown, with definitions."""
         data = self.data
         return {
             "path": str(self.path),
@@ -181,8 +181,7 @@ class Results:
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
-                said, units = str(variable.attrs.get("long_name", name)), str(variable.attrs.get("units", ""))
-                found.append({"key": key, "said": said, "units": units, "of": dims[-1]})
+                found.append({"key": key, "said": str(variable.attrs.get("long_name", name)), "of": dims[-1]})
         return found
 
     def _arrow_scale(self) -> float:

@@ -15,6 +15,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.variables import VARIABLES
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.opening import open_path
@@ -121,6 +122,7 @@ def application(session: Session) -> Starlette:
 
     routes = [
         Route("/api/ready", _get(lambda _: asked.ready())),
+        Route("/api/variables", _get(lambda _: {name: one.shown() for name, one in VARIABLES.items()})),
         Route("/api/setup", _get(lambda _: asked.setup())),
         Route("/api/frame", _get(frame)),
         Route("/api/points", _get(lambda _: asked.points())),

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from fingerflow.calibration import Calibration, Transform, calibrate, fit_affine, fit_similarity, match_discs
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import load_scene, scene_text
+from fingerflow.schema.scene import load_scene
+from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.views import View
 
 SHAPE = (256, 272)

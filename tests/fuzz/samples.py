@@ -243,7 +243,7 @@ def _calibration(folder: Path) -> list[Sample]:
 
 
 def _scene(folder: Path) -> list[Sample]:
-    from fingerflow.schema.scene import scene_text
+    from fingerflow.schema.scene_template import scene_text
     from fingerflow.schema.views import View
 
     (calibration,) = _calibration(folder)

@@ -22,7 +22,8 @@ from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
 from fingerflow.results.tables import export_table
-from fingerflow.schema.scene import Scene, Views, scene_text
+from fingerflow.schema.scene import Scene, Views
+from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, rebuild_scene, write_recording

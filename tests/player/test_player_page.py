@@ -174,7 +174,8 @@ LEGENDS = """() => {
     const data = { topography_view: view, contact_view: view, divergence: { values: floats([0.02, NaN, NaN, 0.02]) },
         position_px: { shape: [4, 2], values: floats([0, 0, 0, 0, 0, 0, NaN, NaN]) },
         in_contact: { values: floats([1, 1, 0, 1]) } };
-    const live = { data, every: 1, mm_per_px: 1, topography_mm_per_px: 1, threshold: 0.3, scalars: {} };
+    const live = { data, every: 1, mm_per_px: 1, topography_mm_per_px: 1, threshold: 0.3, scalars: {},
+        shown: { divergence: { unit: "um/mm", factor: 1000 } } };
     drawTopography(live); drawContact(live);
     return ["pointLegend", "contactLegend"].map(id => document.getElementById(id).innerText.split("\\n").join(" "));
 }"""
@@ -200,7 +201,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     legend = " ".join(page.inner_text("#contactLegend").split())
     assert re.fullmatch("real contact (ellipse of the gross contact|no gross contact)", legend)
     legend = " ".join(page.inner_text("#pointLegend").split())
-    assert re.match(r"(\d+ points with divergence: \u2212(\S+ %) ?\2|0 points with divergence) \d+ not in", legend)
+    assert re.match(r"(\d+ points with divergence: \u2212(\S+ µm/mm) ?\2|0 points with divergence) \d+ not in", legend)
     assert page.is_visible("#divergenceCard")
     assert "Real contact area, mm\u00b2" in page.inner_text("#truth")
     page.click("#restart")
@@ -218,7 +219,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     assert page.evaluate(SCALE, most) == pytest.approx([0.05, 0.1, 0.1, 0.05, 0.05, 0.001])
     points, contact = page.evaluate(LEGENDS)
     assert re.sub(r"\s+", " ", points) == (
-        "1 points with divergence: \u22122 %2 % 1 not in contact 1 in contact, without it"
+        "1 points with divergence: \u221220 um/mm20 um/mm 1 not in contact 1 in contact, without it"
     )
     assert contact == ""  # neither a mask nor an ellipse is drawn
     page.close()

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import load_scene, scene_text
+from fingerflow.schema.scene import load_scene
+from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.views import View
 
 MATRIX = [[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]
 VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640, 1280))}
 FILE, QUOTED = 'file = "calibration.toml"', '"points"'
-TOPOGRAPHY_TABLE = """[views.topography]            # leave out where there is no such view: areas only
+TOPOGRAPHY_TABLE = """[views.topography]
 rows = [0, 512]
 columns = [0, 640]
 """
@@ -38,7 +39,7 @@ def write(folder: Path, old: str = "", new: str = "", **settings: Any) -> Path:
         "forces": "forces.csv",
         "calibration": f"mm_per_px = 0.0325\ntopography_to_contact = {MATRIX}",
     }
-    text = scene_text(**{**given, **settings})
+    text = re.sub(r" +# .*", "", scene_text(**{**given, **settings}))  # without the comments beside keys
     assert old in text
     path = folder / "scene.toml"
     path.write_text(text.replace(old, new) if old else text, encoding="utf-8")

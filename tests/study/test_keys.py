@@ -31,7 +31,7 @@ def folder(lab: Path) -> Path:
         ("points = 700", "points = 300", "result"),
         ("median_px = 3", "median_px = 5", "result"),
         ("mm_per_px = 0.0325", "mm_per_px = 0.0326", "result"),
-        ("# A scene", "# The scene", None),
+        ("# Scene", "# The scene", None),
     ],
 )
 def test_settings(folder: Path, old: str, new: str, first: str | None) -> None:

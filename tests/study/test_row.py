@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.study.columns import NUMBERS
+from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.row import FORCE_GRID, measure
 
 FRAMES, RATE = 101, 100.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
-from fingerflow.schema.variables import Variable
+from fingerflow.schema.variable_record import Variable
 
 S = TypeVar("S", bound="Stage")
 _COPIED = 64  # frames at a time

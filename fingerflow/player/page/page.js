@@ -91,8 +91,8 @@ function drawTopography(live) {
     context.fill();
     context.lineWidth = 0.8; context.strokeStyle = "#0009"; context.stroke();
   }
-  const percent = `${+(100 * range).toPrecision(1)} %`;
-  const scale = counts.known ? `: \u2212${percent}<i class="bar"></i>${percent}` : "";
+  const { unit, factor } = live.shown.divergence, end = `${+(factor * range).toPrecision(1)} ${unit}`;
+  const scale = counts.known ? `: \u2212${end}<i class="bar"></i>${end}` : "";
   $("pointLegend").innerHTML = !divergence ? swatch(POINTS.tracked, `${counts.known} points`) : [
     `<span>${counts.known} points with divergence${scale}</span>`,
     ...(in_contact ? [swatch(POINTS.outside, `${counts.outside} not in contact`)] : []),
@@ -118,11 +118,13 @@ function drawContact(live) {
   context.lineWidth = 3; context.strokeStyle = "#00acc1"; context.stroke();
 }
 
-function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in the legend]
+function trace(live, name, title, drawn) {  // drawn: [variable, colour, name in the legend]
   const canvas = $(name), rows = live.data.traces, names = live.trace_columns, wide = names.length;
   const here = drawn.filter(([variable]) => live.fields.includes(variable) || live.forces.includes(variable));
   $(name + "Card").hidden = !here.length;
   if (!here.length) return;
+  const { unit, factor: scale } = live.shown[here[0][0]];
+  $(name + "Title").textContent = `${title}, ${unit}`;
   const columns = here.map(([variable, style]) => [names.indexOf(variable), style, []]);
   for (const [variable] of here) {
     const place = names.indexOf("expected_" + variable);
@@ -175,17 +177,15 @@ function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in
 
 const text = (value, digits) => value == null || !Number.isFinite(value) ? "\u2013" : value.toFixed(digits);
 
-const CELLS = {  // of the last frame: name, unit, digits, factor
-  real_contact_area: ["Real contact area", "mm\u00b2", 2, 1],
-  gross_contact_area: ["Gross contact area", "mm\u00b2", 2, 1],
-  median_divergence: ["Median divergence", "%", 2, 100],
-};
-const FORCES = { normal_force: ["Normal force", "#1668b0"], tangential_force: ["Tangential force", "#d17a00"] };
-const EXPECTED = {
-  ...CELLS,
-  ellipse_major: ["Semi-major axis", "mm", 3, 1],
-  ellipse_minor: ["Semi-minor axis", "mm", 3, 1],
-};
+const CELLS = ["real_contact_area", "gross_contact_area", "median_divergence"];  // of the last frame
+const FORCES = { normal_force: "#1668b0", tangential_force: "#d17a00" };
+const AXES = { ellipse_major: "semi-major axis", ellipse_minor: "semi-minor axis" };  // of the ellipse
+const capital = words => words[0].toUpperCase() + words.slice(1);
+
+function cell(live, name, value, after = "") {
+  const { label, unit, factor, decimals } = live.shown[name];
+  return [capital(label), text(value == null ? null : factor * value, decimals), unit + after];
+}
 
 function numbers(live) {
   const s = live.scalars, over = live.state == "ended" || live.state == "failed";
@@ -204,16 +204,13 @@ function numbers(live) {
     ["Overruns", live.overruns, "frames", live.overruns > 0],
     ["Reconnects", live.reconnects, "", live.reconnects > 0],
     ["Points tracked", live.tracked, `of ${live.found}`],
-    ["Contact threshold", live.threshold == null ? "none yet" : text(100 * live.threshold, 1),
-      live.threshold == null ? "" : "% of light lost"],
-    ...Object.entries(CELLS).filter(([name]) => live.fields.includes(name)).map(
-      // Before there is a threshold nothing counts as contact, which is no area that was measured.
-      ([name, [said, unit, digits, factor]]) =>
-        [said, text(s[name] == null || live.threshold == null ? null : factor * s[name], digits), unit]),
-    ...live.forces.map(name => [FORCES[name][0], text(s[name], 2), "N"]),
+    live.threshold == null ? ["Contact threshold", "none yet", ""] : cell(live, "contact_threshold", live.threshold, "of the light lost"),
+    // Before there is a threshold nothing counts as contact, which is no area that was measured.
+    ...CELLS.filter(name => live.fields.includes(name)).map(name => cell(live, name, live.threshold == null ? null : s[name])),
+    ...live.forces.map(name => cell(live, name, s[name])),
   ];
   if (live.fields.includes("slip_flag")) {
-    cells.push(["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0]);
+    cells.push([capital(live.shown.slip_flag.label), s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0]);
   }
   $("numbers").innerHTML = cells.map(([name, value, unit, bad]) =>
     `<div><dt>${name}</dt><dd${bad ? ' class="bad"' : ""}>${value} <small>${unit}</small></dd></div>`).join("");
@@ -227,9 +224,10 @@ function truth(live) {
   const rows = Object.entries(live.expected).filter(([name]) => measured[name] !== undefined);
   $("truthCard").hidden = !rows.length;
   $("truth").innerHTML = rows.map(([name, value]) => {
-    const [said, unit, digits, factor] = EXPECTED[name], found = measured[name];
+    const { label, unit, factor, decimals: digits } = live.shown[name in AXES ? "ellipse_semi_axes" : name];
+    const said = capital(AXES[name] || label), found = measured[name];
     const known = found != null && Number.isFinite(found);
-    const share = unit == "%" ? "" : ` (${signed(100 * (found / value - 1), 1)} %)`;
+    const share = name == "median_divergence" ? "" : ` (${signed(100 * (found / value - 1), 1)} %)`;
     const cells = [known ? text(factor * found, digits) : "\u2013", text(factor * value, digits),
       known ? signed(factor * (found - value), digits) + share : "\u2013"];
     return `<tr><th>${said}, ${unit}</th>${cells.map(cell => `<td>${cell}</td>`).join("")}</tr>`;
@@ -254,10 +252,9 @@ async function refresh() {
     numbers(live);
     truth(live);
     if (live.data.topography_view) { drawTopography(live); drawContact(live); }
-    trace(live, "areas", [["gross_contact_area", "#8fb8dc", "gross"], ["real_contact_area", "#1668b0", "real"]], 1);
-    trace(live, "forces", Object.entries(FORCES).map(([name, [said, style]]) =>
-      [name, style, said.split(" ")[0].toLowerCase()]), 1);
-    trace(live, "divergence", [["median_divergence", "#1668b0", "measured"]], 100);
+    trace(live, "areas", "Contact area", [["gross_contact_area", "#8fb8dc", "gross"], ["real_contact_area", "#1668b0", "real"]]);
+    trace(live, "forces", "Force", Object.entries(FORCES).map(([name, style]) => [name, style, live.shown[name].label.split(" ")[0]]));
+    trace(live, "divergence", "Median divergence", [["median_divergence", "#1668b0", "measured"]]);
     const frames = `after ${live.processed} frames, ${live.seconds.toFixed(1)} s`;
     const where = live.results ? ` Results: ${live.results}` : "";
     say(live.state, live.state == "ended" ? `The stream has ended ${frames}.${where}`

@@ -26,7 +26,7 @@ from fingerflow.report.observer import (
 from fingerflow.report.press_field import draw_curl_map
 from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import NO_TRIALS, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, draw_share_against, named
+from fingerflow.report.trial_metrics import AMPLITUDE, draw_share_against, label_of, shown_values
 
 _OBSERVED = (
     "divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate",
@@ -76,7 +76,7 @@ def individual_performance(sources: Sources) -> Sheet:
     divergence = trials.metrics[metric]
     names = np.unique(trials.participant)
     medians = np.array([_median(divergence[trials.participant == name]) for name in names])
-    groups = participant_groups(1e3 * medians)
+    groups = participant_groups(shown_values(metric, medians))
     if groups.groups == 2:
         softer = names[groups.membership > 0.5]
         is_softer = np.isin(trials.participant, softer)
@@ -85,7 +85,10 @@ def individual_performance(sources: Sources) -> Sheet:
         parts = {"all": trials}
     panels = [
         SheetPanel(
-            "A", lambda part: draw_groups(part.subplots(), 1e3 * medians, groups, f"median {named(metric).label}")
+            "A",
+            lambda part: draw_groups(
+                part.subplots(), shown_values(metric, medians), groups, f"median {label_of(metric)}"
+            ),
         )
     ]
     panels += [_scatter(f"B, {name}" if len(parts) > 1 else "B", own, metric) for name, own in parts.items()]

@@ -100,7 +100,7 @@ export class Chart {
         pen.line([[this.at(value), top], [this.at(value), top + PANEL]], { stroke: GRID });
       }
       pen.rect(LEFT, top, right - LEFT, PANEL, { stroke: "#c3ccd5" });
-      pen.text(14, top + PANEL / 2, units === "1" ? "without unit" : units, {
+      pen.text(14, top + PANEL / 2, units || "no unit", {
         align: "center", turn: -Math.PI / 2, fill: SOFT, size: 11 });
       if (!curves.some(one => one.values.some(Number.isFinite))) {
         pen.text((LEFT + right) / 2, top + PANEL / 2, "NaN in all frames: see the warnings of the result", { align: "center", fill: SOFT });

@@ -31,8 +31,15 @@ export function select(options, value, changed, attributes = {}) {
   return box;
 }
 
-const ARTICLES = { mm2: "mm²", "mJ/mm3": "mJ/mm³", "1": "" };
-export const unitsOf = units => units in ARTICLES ? ARTICLES[units] : units;
+// Variables as people read them: label, unit, and factor from the unit of the data set. A key may name a component.
+let variables = {};
+export const setVariables = table => { variables = table; };
+const variable = key => variables[key.split(":")[0]] || { label: words(key), unit: "", factor: 1 };
+export const labelOf = key => [variable(key).label, words(key.split(":")[1] || "")].filter(Boolean).join(" ");
+export const unitOf = key => variable(key).unit;
+export const titleOf = key => unitOf(key) ? `${labelOf(key)} (${unitOf(key)})` : labelOf(key);
+export const shown = (key, value) => typeof value === "number" ? value * variable(key).factor : value;
+export const allShown = (key, values) => Float64Array.from(values, value => value * variable(key).factor);
 
 export function digits(value, count = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";

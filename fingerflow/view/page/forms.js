@@ -1,10 +1,7 @@
 // Inputs for the keys of a scene, made from the table that the scene is checked with.
-import { make, select } from "./elements.js";
+import { make, select, words } from "./elements.js";
 
 const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 31, 2], "contact.gross_radius_px": [1, 40, 1] };
-const TITLES = { recording: "Recording", background: "Background", calibration: "Calibration", forces: "Forces",
-  contact: "Contact", tracking: "Points", fields: "Fields and elasticity", slip: "Slip", stream: "Stream" };
-const CHANNELS = new Set(["normal", "tangential", "trigger", "time"].map(name => `forces.${name}`));
 const OPEN = new Set(["contact"]);
 
 // `changed(key, value)` is called with null where a key is left out; `live` says that more of it will come.
@@ -12,10 +9,10 @@ export function makeForms(setup, changed) {
   const kind = select(setup.kinds.map(key => ({ key, label: words(key) })), setup.kind, value => changed("kind", value));
   const made = [make("label", { className: "field" }, make("span", {}, "Kind of scene"), kind)];
   const updates = [found => { kind.value = found.kind; }];
-  for (const [table, keys] of Object.entries(setup.forms)) {
+  for (const [table, { help, keys }] of Object.entries(setup.forms)) {
     if (!keys.length || table === "stream") continue;
     const rows = keys.map(key => row(`${table}.${key.name}`, key, changed, updates));
-    const group = make("details", { open: OPEN.has(table) }, make("summary", {}, TITLES[table] || words(table)), rows);
+    const group = make("details", { open: OPEN.has(table) }, make("summary", { title: help }, table[0].toUpperCase() + table.slice(1)), rows);
     group.dataset.table = table;
     made.push(group);
   }
@@ -38,16 +35,13 @@ export function makeForms(setup, changed) {
   return { elements: made, update };
 }
 
-const words = text => text.replace(/^mm_per_px$/, "scale (mm per px)").replace(/_px$/, " (px)").replace(/_mm$/, " (mm)").replace(/_mpa$/, " (MPa)").replace(/_s$/, " (s)")
-  .replace(/_/g, " ");
-
 function valueAt(values, key) {
   return key.split(".").reduce((place, name) => place?.[name], values);
 }
 
 function row(key, form, changed, updates) {
   const send = value => changed(key, value === "" ? null : value);
-  const name = make("span", {}, words(form.name));
+  const name = make("span", { title: form.help }, form.label);
   const field = make("div", { className: "field" }, name);
   field.dataset.key = key;
   const placeholder = form.default === null || form.default === undefined ? (form.needed ? "needed" : "none")
@@ -97,12 +91,12 @@ function row(key, form, changed, updates) {
     const input = make("input", { type: "number", placeholder, step: form.input === "whole" ? (form.odd ? 2 : 1) : "any" });
     if (form.odd) input.min = form.least;
     add(input, () => input.value === "" ? null : +input.value, value => { input.value = value ?? ""; });
-  } else if (form.input === "toml") {
-    const input = make("input", { type: "text", placeholder, list: CHANNELS.has(key) ? "channels" : "" });
+  } else if (form.input === "toml" || form.input === "column") {
+    const input = make("input", { type: "text", placeholder, list: form.input === "column" ? "channels" : "" });
     add(input, () => input.value === "" ? null : { toml: input.value },
       value => { input.value = value === null ? "" : typeof value === "string" ? value : JSON.stringify(value); });
   } else {
-    const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : CHANNELS.has(key) ? "channels" : "" });
+    const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
   }
   field.append(make("small", { className: "said" }));

@@ -1,6 +1,6 @@
 // The page: two tabs about one recording, a picture with a slider, and curves.
 import { download, get, newest, say } from "./net.js";
-import { $ } from "./elements.js";
+import { $, setVariables } from "./elements.js";
 import { Chart } from "./chart.js";
 import { Picture } from "./picture.js";
 import { ResultsView } from "./results.js";
@@ -20,6 +20,7 @@ class App {
     this.frames = newest(async () => this.draw());
   }
   async start() {
+    setVariables(await get("api/variables"));
     const draft = await this.setup.load();
     $("tab-setup").disabled = !draft;
     $("tab-results").disabled = !this.setup.facts.result;

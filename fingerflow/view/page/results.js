@@ -1,6 +1,6 @@
 // After processing: a result's frames, maps, curves, points and regions.
 import { arrays, download, get, newest, post, postArrays, postText, say } from "./net.js";
-import { $, digits, make, select, toggle, unitsOf, words } from "./elements.js";
+import { $, allShown, digits, labelOf, make, select, shown, titleOf, toggle, unitOf, words } from "./elements.js";
 import * as marks from "./marks.js";
 import { UNKNOWN, scale } from "./colours.js";
 import { follow } from "./runs.js";
@@ -72,7 +72,7 @@ export class ResultsView {
   mapBox() {
     const group = { point: "of points", triangle: "of triangles" };
     const options = [{ key: "", label: "none", group: "" }, ...[...this.maps.values()].map(one =>
-      ({ key: one.key, label: words(one.key), group: group[one.of] }))];
+      ({ key: one.key, label: labelOf(one.key), group: group[one.of] }))];
     return select(options, this.shown, key => this.show(key), { id: "map" });
   }
   show = newest(async key => {
@@ -116,13 +116,13 @@ export class ResultsView {
     const rows = this.facts.curves.filter(({ key }) => !key.includes(":") && !key.endsWith("_rate") && key in numbers && !key.startsWith("ellipse"));
     const flags = key => this.facts.flags[key];
     if (!this.cells) {
-      this.cells = new Map(rows.map(({ key, units, said }) => [key, make("dd")]));
-      this.numbers.replaceChildren(...rows.map(({ key, units, said }) => make("div", { title: said },
-        make("dt", {}, words(key)), this.cells.get(key), make("dd", { className: "unit" }, unitsOf(units)))));
+      this.cells = new Map(rows.map(({ key }) => [key, make("dd")]));
+      this.numbers.replaceChildren(...rows.map(({ key, said }) => make("div", { title: said },
+        make("dt", {}, labelOf(key)), this.cells.get(key), make("dd", { className: "unit" }, unitOf(key)))));
     }
     for (const { key } of rows) {
       const value = numbers[key];
-      this.cells.get(key).textContent = value === null ? "NaN" : flags(key) ? words(flags(key)[value]) : digits(value);
+      this.cells.get(key).textContent = value === null ? "NaN" : flags(key) ? words(flags(key)[value]) : digits(shown(key, value));
     }
     if (this.chosen.length === 1) this.tell();
     this.app.chart.cursor(k);
@@ -179,11 +179,11 @@ export class ResultsView {
       const bar = make("canvas", { className: "scale", width: 256, height: 1 }), pen = bar.getContext("2d");
       scale(this.range).colours.forEach((colour, k) => { pen.fillStyle = colour; pen.fillRect(k, 0, 1, 1); });
       const limit = k => {
-        const box = make("input", { type: "number", step: "any", value: +this.range[k].toPrecision(3) });
+        const box = make("input", { type: "number", step: "any", value: +shown(this.shown, this.range[k]).toPrecision(3) });
         box.setAttribute("aria-label", k ? "largest colour" : "smallest colour");
         box.addEventListener("change", () => {
           const range = [...this.range];
-          range[k] = +box.value;
+          range[k] = +box.value / shown(this.shown, 1);
           if (!(range[0] < range[1])) return say("the range of colours needs a smaller number on its left");
           this.range = this.found.range = range;
           say("");
@@ -194,7 +194,7 @@ export class ResultsView {
       };
       const ring = make("i", { className: "ring" });
       ring.style.borderColor = UNKNOWN;
-      entries.push(make("span", { className: "wide" }, limit(0), bar, limit(1), ` ${unitsOf(one.units)}  ${one.said}`));
+      entries.push(make("span", { className: "wide" }, limit(0), bar, limit(1), ` ${unitOf(this.shown)}  ${one.said}`));
       entries.push(make("span", {}, one.of === "point" ? ring : "", one.of === "point" ? "not known (NaN)" : "no colour: NaN"));
     }
     if (this.shown.startsWith("principal_strains")) entries.push(make("span", {}, "— direction of the major principal strain"));
@@ -231,8 +231,8 @@ export class ResultsView {
     if (!this.chosen.length) {
       return this.point.replaceChildren(make("p", { className: "soft" }, "Click a point, or draw a region around some."));
     }
-    const k = this.app.frame, found = this.found.arrays, label = this.history && words(this.history.key);
-    const units = this.history && unitsOf(this.maps.get(this.history.key).units), here = this.history?.arrays.values.values[k];
+    const k = this.app.frame, found = this.found.arrays, key = this.history?.key, label = key && labelOf(key);
+    const units = key && unitOf(key), here = key && shown(key, this.history.arrays.values.values[k]);
     if (this.chosen.length === 1) {
       const i = this.chosen[0], status = this.history?.arrays.status?.values, names = (this.facts.flags.status || []);
       const counts = names.map((name, s) => [name, status ? status.filter(one => one === s).length : 0]).filter(([, n]) => n);
@@ -285,9 +285,9 @@ export class ResultsView {
   }
   // Curves.
   courseBar() {
-    const numeric = [{ key: "time", label: "time (s)" }, ...[...this.curves.values()].map(one => ({ key: one.key, label: words(one.key) }))];
+    const numeric = [{ key: "time", label: titleOf("time") }, ...[...this.curves.values()].map(one => ({ key: one.key, label: labelOf(one.key) }))];
     const boxes = [...this.curves.values()].filter(one => !["frame_status"].includes(one.key)).map(one => {
-      return toggle(words(one.key), this.ticked.includes(one.key), on => {
+      return toggle(labelOf(one.key), this.ticked.includes(one.key), on => {
         this.ticked = on ? [...this.ticked, one.key] : this.ticked.filter(key => key !== one.key);
         this.curvesChanged();
       }, one.said);
@@ -300,16 +300,13 @@ export class ResultsView {
     if (!this.curves.size) return;
     const keys = [...new Set([this.x, ...this.ticked])];
     const found = (await arrays(`api/result/courses?${keys.map(key => `key=${encodeURIComponent(key)}`).join("&")}`)).arrays;
-    const curves = this.ticked.map(key => ({ label: words(key), units: this.curves.get(key).units, values: found[key].values }));
+    const curves = this.ticked.map(key => ({ label: labelOf(key), units: unitOf(key), values: allShown(key, found[key].values) }));
     if (this.history) {
       const who = this.chosen.length === 1 ? `point ${this.chosen[0]}` : `median of ${this.chosen.length} points`;
-      curves.push({ label: `${words(this.history.key)} of ${who}`, units: this.maps.get(this.history.key).units,
-        values: this.history.arrays.values.values, dashed: true });
+      const { key, arrays: { values } } = this.history;
+      curves.push({ label: `${labelOf(key)} of ${who}`, units: unitOf(key), values: allShown(key, values.values), dashed: true });
     }
-    const x = this.curves.get(this.x);
-    const label = x ? `${words(x.key)}${unitsOf(x.units) ? ` (${unitsOf(x.units)})` : ""}` : "time (s)";
-    for (const one of curves) one.units = unitsOf(one.units) || "1";
-    this.app.chart.show({ label, values: found[this.x].values }, curves);
+    this.app.chart.show({ label: titleOf(this.x), values: allShown(this.x, found[this.x].values) }, curves);
     this.app.chart.cursor(this.app.frame);
   }
   async saveTable() {

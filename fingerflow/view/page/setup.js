@@ -1,6 +1,6 @@
 // Before processing: views, contact, points and forces of a scene that is being set up.
 import { arrays, get, newest, post, say, unsay } from "./net.js";
-import { $, digits, make, toggle } from "./elements.js";
+import { $, allShown, digits, labelOf, make, shown, titleOf, toggle, unitOf } from "./elements.js";
 import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
 import { CalibrationCard } from "./calibration.js";
 import { makeForms } from "./forms.js";
@@ -188,10 +188,8 @@ export class Setup {
     $("course-bar").replaceChildren(make("h2", {}, "Forces at the times of the frames"));
     $("chart-hint").textContent = "Click for a frame. Low-passed to the frame rate, as process does.";
     $("chart-csv").hidden = true;
-    const units = { normal_force: "N", tangential_force: "N", load_ratio: "1" };
-    const labels = { normal_force: "normal force", tangential_force: "tangential force", load_ratio: "tangential over normal" };
-    this.app.chart.show({ label: "time (s)", values: found.time.values },
-      names.map(name => ({ label: labels[name] || name, units: units[name] || "N", values: found[name].values })));
+    this.app.chart.show({ label: titleOf("time"), values: found.time.values },
+      names.map(name => ({ label: labelOf(name), units: unitOf(name), values: allShown(name, found[name].values) })));
     this.app.chart.cursor(this.app.frame - this.forces.first_frame);
   }
   frameOfChart(k) { return k + (this.forces?.first_frame || 0); }
@@ -208,14 +206,11 @@ export class Setup {
     if (!this.numbers) return;
     const forces = this.forces?.arrays, place = k - (this.forces?.first_frame || 0);
     const rows = [
-      ["threshold", numbers?.contact_threshold, ""],
-      ["real contact area", numbers?.real_contact_area, "mm²"],
-      ["gross contact area", numbers?.gross_contact_area, "mm²"],
-      ["normal force", forces?.normal_force?.values[place], "N"],
-      ["tangential force", forces?.tangential_force?.values[place], "N"],
+      ...["contact_threshold", "real_contact_area", "gross_contact_area"].map(name => [name, numbers?.[name]]),
+      ...["normal_force", "tangential_force"].map(name => [name, forces?.[name]?.values[place]]),
     ];
-    this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value, unit]) =>
-      make("div", {}, make("dt", {}, name), make("dd", {}, digits(value), make("small", {}, ` ${unit}`)))));
+    this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value]) =>
+      make("div", {}, make("dt", {}, labelOf(name)), make("dd", {}, digits(shown(name, value)), make("small", {}, ` ${unitOf(name)}`)))));
     const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame does not count (recording.first_frame, last_frame)." : "");
     const waits = this.facts.problems.length ? "Contact shows when the settings are complete." : this.layer.contact ? "Loading …" : "";
     if (why || (waits && !rows.some(([, value]) => value !== undefined))) this.numbers.append(make("p", { className: "soft" }, why || waits));

@@ -12,7 +12,8 @@ import xarray as xr
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import Scene, scene_text
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.scene_template import scene_text
 
 Change = Callable[..., Scene]
 OUTPUTS = ["normal_force", "tangential_force", "load_ratio", "force_angle", "tangential_direction"]

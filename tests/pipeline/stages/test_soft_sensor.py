@@ -18,8 +18,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.soft_sensor.rest import find_rest
 from fingerflow.report import write_report
-from fingerflow.schema.scene import gel_scene_text
 from fingerflow.schema.scene_file import SceneError, read_scene
+from fingerflow.schema.scene_template import gel_scene_text
 from tests.small_trials import GEL, GEL_MM_PER_PX
 
 TACTILE = Path(__file__).resolve().parents[4] / "shared" / "data" / "tactile"

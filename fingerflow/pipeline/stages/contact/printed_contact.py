@@ -15,33 +15,9 @@ from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.filters.morphology import erode
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.schema.variables import FRAME, Variable
+from fingerflow.schema.variables import PRINTED_CONTACT
 
 _MEDIAN_PX = 9
-
-PRINTED_CONTACT = (
-    Variable(
-        "printed_contact_threshold",
-        FRAME,
-        "1",
-        "Otsu's threshold of the intensity lost since the first instant of contact",
-        unasked=False,
-    ),
-    Variable(
-        "printed_real_contact_area",
-        FRAME,
-        "mm2",
-        "real contact area by the steps that Willemet et al. 2021 print",
-        unasked=False,
-    ),
-    Variable(
-        "printed_eroded_contact_area",
-        FRAME,
-        "mm2",
-        "the same, eroded by a unit diamond, as the lab's code has it",
-        unasked=False,
-    ),
-)
 
 
 class PrintedContactStage(Stage):

@@ -1,0 +1,131 @@
+"""Text of commented scene files, written from the keys of `schema.scene_keys`."""
+
+import textwrap
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from fingerflow.schema.scene_keys import SCENE, Choice, Moment, SceneKey, SceneTable, views_of
+from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.toml_value import toml_value
+from fingerflow.schema.views import View
+
+_COMMENT = 30  # column at which comments begin
+_WIDTH = 120
+_TOPOGRAPHY, _CONTACT = View((0, 512), (0, 640)), View((0, 512), (640, 1280))
+_HEAD = (
+    "# Scene of fingerflow: a recording, and the settings with which it is processed. Paths are relative to this "
+    "file.\n"
+)
+_ALWAYS = ("recording", "background", "calibration", "contact", "tracking", "fields")  # tables that are not optional
+_OF_FORCES = ("normal", "tangential", "trigger", "trigger_level")  # written with the file
+
+
+def scene_text(
+    *,
+    frames: str = "frames.cine",
+    frame_rate: float | None = None,
+    trigger_frame: int | None = None,
+    background: str = "empty.cine",
+    dark: str | None = None,
+    contact: View = _CONTACT,
+    topography: View = _TOPOGRAPHY,
+    forces: str | None = None,
+    calibration: str = 'file = "calibration.toml"',
+    region: View | None = None,
+    slip: bool = False,
+) -> str:
+    """Return the text of a commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
+
+    ``calibration`` is the content of the table [calibration] in TOML. ``region`` is the part of the topography view
+    where points are seeded. With ``slip`` the scene is a trial of tangential loading.
+    """
+    rules = SCENE["forces"]
+    assert isinstance(rules, SceneTable)
+    values: dict[str, dict[str, Any]] = {name: {} for name in _ALWAYS}
+    values["recording"] = {"frames": frames, "frame_rate": frame_rate, "trigger_frame": trigger_frame}
+    values["background"] = {"frames": background, "dark": dark}
+    values["calibration"] = tomllib.loads(calibration)
+    if forces:
+        values["forces"] = {"file": forces, **{name: _sample(rules.keys[name]) for name in _OF_FORCES}}
+    if slip:
+        values["slip"] = {}
+    if region:
+        values["stream"] = {"region": _rectangle(region)}
+    views = {"contact": contact, "topography": topography}
+    others = ", ".join(kind for kind in KINDS if kind != "press")
+    lines = [_commented('# kind = "press"', f"or {others}; slip is the default of a scene with a table [slip]")]
+    for name, table in SCENE.items():
+        lines += ["", *_table_text(name, table, values.get(name), whole=True)]
+        if name == "recording":
+            for view, one in views_of(KINDS["press"]).keys.items():
+                lines += ["", *_table_text(f"views.{view}", one, _rectangle(views[view]), whole=True)]
+    return _HEAD + "\n".join(lines) + "\n"
+
+
+def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
+    """Return the text of a scene file for a soft sensor with printed markers and frames of (height, width) px."""
+    height, width = frame_shape
+    camera = views_of(KINDS["soft_sensor"]).keys["camera"]
+    lines = [_commented('kind = "soft_sensor"', "its own frames show the gel at rest: no [background] is needed")]
+    for name, table, values in (
+        ("recording", SCENE["recording"], {"frames": frames}),
+        ("views.camera", camera, {"rows": [0, height], "columns": [0, width]}),
+        ("calibration", SCENE["calibration"], {"mm_per_px": float(f"{mm_per_px:g}")}),
+        ("slip", SCENE["slip"], {"stuck_mm": 0.04}),
+    ):
+        lines += ["", *_table_text(name, table, values, whole=False)]
+    return _HEAD + "\n".join(lines) + "\n"
+
+
+def _table_text(
+    name: str, table: SceneKey | SceneTable, values: Mapping[str, Any] | None, whole: bool
+) -> Iterator[str]:
+    """Yield the lines of a table; all are comments if `values` is None.
+
+    Keys without a value are comments with their default or sample; if all keys of the table have defaults, they are
+    written with them. Without `whole`, only keys with values are written.
+    """
+    assert isinstance(table, SceneTable)
+    mark = "# " if values is None else ""
+    yield _commented(f"{mark}[{name}]", table.help)
+    by_default = all(isinstance(key, SceneKey) and key.default is not None for key in table.keys.values())
+    for key, entry in table.keys.items():
+        value = (values or {}).get(key)
+        if value is None and not whole:
+            continue
+        written = value is not None or (by_default and values is not None)
+        if value is None:
+            value = _sample(entry)
+        if value is None:
+            continue
+        yield _commented(f"{'' if written else '# '}{key} = {toml_value(value)}", _help(entry))
+
+
+def _help(entry: SceneKey | SceneTable) -> str:
+    if isinstance(entry, SceneTable):
+        return entry.help
+    if isinstance(entry.type, Choice | Moment):
+        words = ", ".join(map(toml_value, entry.type.words))
+        number = " or a number" if isinstance(entry.type, Choice) and entry.type.number else ""
+        return f"{words}{number}: {entry.help}"
+    return f"{entry.unit}, {entry.help}" if entry.unit not in ("", "px", "mm/px") else entry.help
+
+
+def _sample(entry: SceneKey | SceneTable) -> Any:
+    """Return the value that the file shows for a key without a value."""
+    if isinstance(entry, SceneKey) and entry.sample is None:
+        return entry.default
+    return entry.sample
+
+
+def _rectangle(view: View) -> dict[str, Any]:
+    return {"rows": list(view.rows), "columns": list(view.columns)}
+
+
+def _commented(text: str, comment: str) -> str:
+    """Return a line with a comment beside it, which continues on lines of its own."""
+    lines = textwrap.wrap(comment, _WIDTH - _COMMENT - 2)
+    beside = lines and len(text) + 4 + len(lines[0]) <= _WIDTH
+    first = f"{text:<{_COMMENT - 2}}  # {lines.pop(0)}" if beside else text
+    return "\n".join([first, *(" " * _COMMENT + f"# {line}" for line in lines)])

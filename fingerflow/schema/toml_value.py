@@ -1,0 +1,18 @@
+"""Values as they are written in TOML files."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+def toml_value(value: Any) -> str:
+    """Return a string, number, boolean, list or table as a TOML value on one line."""
+    if isinstance(value, str):  # a TOML basic string is a JSON string in which U+007F is escaped too
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name} = {toml_value(one)}" for name, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return repr(value)

@@ -1,0 +1,129 @@
+"""Columns of the table of trials: name, unit, definition and shown unit of each, as written to `variables.csv`.
+
+Without a suffix a column is the value shown in figures; with `_at_1n`, `_at_onset` and so on it is the value at that
+moment. `_std` is its standard deviation.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from fingerflow.schema.variable_record import MICROMETRE, Variable
+from fingerflow.schema.variables import VARIABLES
+
+#: Moments of a trial and their definitions.
+FORCES_N = (1.0, 2.0, 3.0)
+AT_ONSET, AT_MAX = "at_onset", "at_max"
+MOMENTS = {
+    **{f"at_{force:g}n": f"when the normal force first reaches {force:g} N" for force in FORCES_N},
+    AT_ONSET: "in the first frame with contact",
+    AT_MAX: "at the largest normal force, without forces at the largest gross contact area",
+}
+_TRIAL = ("trial",)
+_LARGEST = "the largest of the trial"
+
+
+class AtMoments(NamedTuple):
+    """Quantity at every moment.
+
+    Attributes:
+        name: of the column without a suffix.
+        variable: of a result that has the same unit.
+        definition: of the quantity.
+        has_std: whether it has a standard deviation.
+        largest: whether the column without a suffix is the largest value of the trial, else the value at the maximum.
+        label: on axes and in tables; "" for the name in words.
+    """
+
+    name: str
+    variable: str
+    definition: str
+    has_std: bool = False
+    largest: bool = False
+    label: str = ""
+
+
+AT_MOMENTS = (
+    AtMoments("real_contact_area", "real_contact_area", "real contact area"),
+    AtMoments("gross_contact_area", "gross_contact_area", "gross contact area"),
+    AtMoments("divergence", "median_divergence", "median divergence over the gross contact", has_std=True),
+    AtMoments("curl", "median_curl", "median curl over the gross contact", has_std=True),
+    AtMoments("strain", "median_strain", "median strain along the major axis that the gross contact has at its maximum",
+              has_std=True, label="longitudinal strain"),
+    AtMoments("strain_across", "median_strain", "median strain across that axis", has_std=True),
+    AtMoments("strain_energy", "strain_energy", "strain energy of the skin in contact", has_std=True),
+    AtMoments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
+    AtMoments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
+    AtMoments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),
+    AtMoments("global_displacement", "global_displacement", "length of the median displacement since onset",
+              largest=True),
+    AtMoments("force_angle", "force_angle", "angle of the force from the normal, atan |T/N|", largest=True,
+              label="peak force angle"),
+    AtMoments("coverage", "tracked_share", "share of the points in contact that are tracked"),
+)  # fmt: skip
+_OF_TRIAL = (
+    Variable("max_force", _TRIAL, "N", "largest normal force", label="largest normal force"),
+    Variable("time_to_max_force", _TRIAL, "s", "from the first frame with contact to the largest normal force",
+             label="time to largest force"),
+    Variable("duration", _TRIAL, "s", "from the first frame with contact to the last"),
+    Variable("force_rate", _TRIAL, "N/s",
+             "largest rate of the normal force from the first contact to the largest force",
+             label="largest force rate"),
+    Variable("max_displacement", _TRIAL, "mm",
+             "largest displacement since onset: the 0.99 quantile over points in contact, so that one lost point does "
+             "not decide", label="largest displacement", shown_in=MICROMETRE),
+    Variable("max_speed", _TRIAL, "mm/s",
+             "largest speed, up to the largest force, of the point that has that displacement", label="largest speed"),
+    Variable("friction", _TRIAL, "1",
+             "median T/N where no skin sticks any more; nothing where the finger did not slide"),
+    Variable("longest_axis_ratio", _TRIAL, "1",
+             "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
+             "chance"),
+)  # fmt: skip
+#: Added when the table is written: each area over the median of its participant.
+NORMALISED = ("real_contact_area", "gross_contact_area")
+
+
+def _at_moments(one: AtMoments) -> Iterator[Variable]:
+    source = VARIABLES[one.variable]
+
+    def column(name: str, definition: str, label: str = "") -> Variable:
+        return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, label=label)
+
+    yield column(one.name, f"{one.definition}, {_LARGEST if one.largest else MOMENTS[AT_MAX]}", one.label)
+    if one.has_std:
+        yield column(f"{one.name}_std", f"standard deviation of {one.name}, by the errors of the points")
+    for moment, when in MOMENTS.items():
+        if moment == AT_MAX and not one.largest:
+            continue
+        yield column(f"{one.name}_{moment}", f"{one.definition}, {when}")
+        if one.has_std:
+            yield column(f"{one.name}_{moment}_std", f"standard deviation of {one.name}_{moment}")
+
+
+#: Numeric columns of a trial.
+NUMBERS: dict[str, Variable] = {
+    one.name: one
+    for one in (
+        *_OF_TRIAL,
+        *(column for one in AT_MOMENTS for column in _at_moments(one)),
+        *(
+            Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
+            for name in NORMALISED
+        ),
+    )
+}
+#: Other columns of a trial.
+FACTS: dict[str, Variable] = {
+    name: Variable(name, _TRIAL, "1", said)
+    for name, said in {
+        "status": "measured, failed (no result), or not run",
+        "reason": "why a trial has no result",
+        "slip_verdict": "how the stuck area vanishes, of trials of tangential loading",
+        "frames": "frames that count",
+        "usable_frames": "frames that are pictures of the trial (frame_status)",
+        "warnings": "sentences of the result's warnings, one a line",
+        "recording": "file of the frames, relative to the study",
+        "result": "file of the result, relative to the study",
+    }.items()
+}
+OF_RESULTS = frozenset((*NUMBERS, *FACTS)) - {"recording"}

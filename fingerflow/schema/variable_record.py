@@ -1,0 +1,114 @@
+"""Record of a result variable, with the unit in which people read it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+#: Coordinate labels of dimensions.
+LABELS = {
+    "xy": ("x", "y"),
+    "axis": ("major", "minor"),
+    "strain_component": ("exx", "eyy", "exy"),
+    "shear_component": ("along_axes", "along_diagonals"),
+    "principal": ("major", "minor"),
+}
+
+
+@dataclass(frozen=True)
+class ShownUnit:
+    """Unit in which figures, reports and pages show a variable; files keep the unit of the data set.
+
+    Attributes:
+        name: as it is printed; "" if dimensionless.
+        factor: from the unit of the data set to this one.
+        decimals: digits after the point that a live page shows.
+    """
+
+    name: str
+    factor: float = 1.0
+    decimals: int = 2
+
+
+UM_PER_MM, UM_PER_MM_S = ShownUnit("µm/mm", 1e3, 1), ShownUnit("µm/mm/s", 1e3, 1)
+PERCENT, PERCENT_PER_S = ShownUnit("%", 100.0, 1), ShownUnit("%/s", 100.0, 1)
+MICROMETRE, MICROJOULE, MILLISECOND = ShownUnit("µm", 1e3, 1), ShownUnit("µJ/mm³", 1e3, 3), ShownUnit("ms", 1e3, 2)
+_BY_UNIT = {
+    "1": ShownUnit("", decimals=3),
+    "mm": ShownUnit("mm", decimals=3),
+    "mm2": ShownUnit("mm²"),
+    "rad": ShownUnit("°", 180 / math.pi, 1),
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """Result variable.
+
+    Attributes:
+        name: in the data set, in tables and in records.
+        dims: names of its dimensions.
+        units: in UDUNITS notation; "1" if dimensionless.
+        long_name: its definition.
+        kind: data type in NumPy notation.
+        equation: in plain text, with the symbols of `schema.variables.SYMBOLS`.
+        shown_in: the unit in which people read it; None for that which belongs to `units`.
+        needs: keys of the scene without which it is not computed.
+        flags: meanings of the values 0, 1, 2 ...
+        unasked: whether it is computed by default, without being requested by name.
+        formula, of: function of other results of the same stage, and their names, where that suffices to compute it.
+        label: its name on axes and in tables; "" for the name in words.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    kind: str = "f8"
+    equation: str = ""
+    shown_in: ShownUnit | None = None
+    needs: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+    unasked: bool = True
+    formula: Callable[..., Any] | None = None
+    of: tuple[str, ...] = ()
+    label: str = ""
+
+    @property
+    def words(self) -> str:
+        """Return its name on axes and in tables."""
+        if self.label:
+            return self.label
+        name = self.name.removesuffix("_px").replace("_", " ")
+        return f"standard deviation of {name.removesuffix(' std')}" if name.endswith(" std") else name
+
+    @property
+    def shown_unit(self) -> ShownUnit:
+        """Return the unit in which people read it."""
+        return self.shown_in or _BY_UNIT.get(self.units) or ShownUnit(self.units)
+
+    @property
+    def axis_label(self) -> str:
+        """Return its name with the unit in which it is shown, "median divergence (µm/mm)"."""
+        return self.with_unit(self.words)
+
+    def shown_values(self, values: Any) -> Any:
+        """Return values of the data set in the unit in which people read them."""
+        return self.shown_unit.factor * values
+
+    def with_unit(self, words: str) -> str:
+        """Return words followed by the unit in which the variable is shown, in brackets."""
+        unit = self.shown_unit.name
+        return f"{words} ({unit})" if unit else words
+
+    def shown(self) -> dict[str, object]:
+        """Return what a page needs to show it: label, unit, factor from the unit of the data set, and decimals."""
+        unit = self.shown_unit
+        return {"label": self.words, "unit": unit.name, "factor": unit.factor, "decimals": unit.decimals}
+
+    def attributes(self) -> dict[str, object]:
+        """Return its attributes by the CF conventions."""
+        flags: dict[str, object] = {}
+        if self.flags:
+            flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
+        return {"units": self.units, "long_name": self.long_name, **flags}
