@@ -168,7 +168,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
     """
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client, LocalCluster, Security
     except ImportError as error:
         raise FingerflowError(
             f"a study runs on Dask, which is not installed ({error}): pip install 'fingerflow-engine[study]'"
@@ -205,7 +205,11 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
             else:
                 if scheduler is None:
                     _load_once(loads)
+                    # A scheduler runs what it is sent: without a certificate, which only this process and its workers
+                    # have, every user of this computer could run commands as the one who started the study.
+                    security = Security.temporary()
                     cluster = LocalCluster(
+                        host="127.0.0.1", protocol="tls://", security=security,
                         n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
                         # No fixed port: Dask would warn if another study used it.
                         dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
@@ -213,7 +217,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 else:
                     cluster = _deployment(scheduler)()
                     cluster.scale(workers)
-                client = Client(cluster)
+                client = Client(cluster, security=getattr(cluster, "security", None))
         except FingerflowError:
             raise
         except Exception as error:  # whatever a deployment raises

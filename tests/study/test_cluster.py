@@ -159,3 +159,27 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
         coming.join()
     assert sorted(found) == list(range(1, 21))
     assert said.count("no worker is at") == 1
+
+
+def _asks_as_somebody_else(_: int) -> tuple[str, str]:
+    """From a process of another user: the address can be found, the certificate cannot."""
+    from distributed import Security, get_worker
+
+    address, answers = get_worker().scheduler.address, []
+    for security in (None, Security.temporary()):
+        try:
+            with dask.config.set({"distributed.comm.timeouts.connect": "2s"}):
+                Client(address if security else address.replace("tls://", "tcp://"), security=security, timeout=3)
+            answers.append("let in")
+        except Exception as error:
+            answers.append(type(error).__name__)
+    return address, " ".join(answers)
+
+
+def test_nobody_else_is_let_in_by_the_scheduler_of_a_study() -> None:
+    """It runs what it is sent: without its certificate nothing is accepted, by TCP or by a certificate of one's own."""
+    ((address, answers),) = over_workers(
+        _asks_as_somebody_else, iter([("task", 1)]), 1, _raise, workers=1, progress=False
+    )
+    assert address.startswith("tls://127.0.0.1:")
+    assert "let in" not in answers
