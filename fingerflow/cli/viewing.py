@@ -18,12 +18,16 @@ def view(
 ) -> None:
     """Set up a scene and look at its results on a page that is served to this computer alone."""
     import webbrowser
+    from contextlib import ExitStack
 
     from fingerflow.view import serve
+    from fingerflow.view.redirect import redirect_file
 
-    def tell(address: str) -> None:
-        typer.echo(f"{address}\nCtrl+C ends it.")
-        if browser:
-            webbrowser.open(address)
+    with ExitStack() as files:
 
-    serve(path, port, tell)
+        def tell(address: str) -> None:
+            typer.echo(f"{address}\nCtrl+C ends it.")
+            if browser:
+                webbrowser.open(files.enter_context(redirect_file(address)).as_uri())
+
+        serve(path, port, tell)

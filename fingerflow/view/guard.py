@@ -6,8 +6,10 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
+
+from fingerflow.view.redirect import redirect
 
 HEADER = "x-fingerflow"  # other sites cannot send it without a CORS permission, which is never granted
 _HEADERS = {
@@ -55,7 +57,8 @@ class Guard:
             return PlainTextResponse("pages of other sites are refused", 403)
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         if scope["method"] == "GET" and scope["path"] == "/" and self._is_token(given):
-            answer = RedirectResponse("/", 303)
+            # A page, and not a redirection: the browser sends a strict cookie only where a page of ours asks.
+            answer = HTMLResponse(redirect("/"))
             answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict")
             return answer
         if not self._is_token(self._token_of(headers)):

@@ -22,7 +22,7 @@ def test_it_serves_until_it_is_interrupted(processed: Path) -> None:
         assert address.hostname == "127.0.0.1"
         connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=SLOW)
         connection.request("GET", f"{address.path}?{address.query}")
-        assert connection.getresponse().status == 303
+        assert connection.getresponse().status == 200
         connection.close()
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=SLOW)

@@ -2,6 +2,7 @@
 
 import http.server
 import json
+import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.results.result import load_result
+from fingerflow.view.redirect import redirect_file
 from fingerflow.view.server import Served
 from tests.view.walk import drag as drag_in
 from tests.view.walk import fill
@@ -321,6 +323,20 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
             assert (tmp_path / button).read_bytes().startswith(first)
         header = (tmp_path / "chart-csv").read_text(encoding="utf-8").partition("\n")[0]
         assert "curl of median of" in header
+
+
+def test_a_file_that_only_its_owner_reads_opens_the_page(browser: Any, press: Path) -> None:
+    """So that the token stands in no command line of a browser, which every user of the computer can list."""
+    with Served(press / "scene.toml") as served, redirect_file(served.address) as path:
+        if os.name == "posix":
+            assert path.parent.stat().st_mode & 0o077 == 0
+        page = browser.new_page()
+        page.set_default_timeout(SLOW)
+        page.goto(path.as_uri())
+        page.wait_for_selector("#picture[data-drawn]")
+        assert "token" not in page.url
+        page.close()
+    assert not path.exists()
 
 
 def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:

@@ -1,0 +1,24 @@
+"""File that leads a browser to the page, so that the token of the page stands in no command line."""
+
+import html
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+
+def redirect(address: str) -> str:
+    """Return an HTML page that leads to an address."""
+    return f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}"><title>fingerflow</title>'
+
+
+@contextmanager
+def redirect_file(address: str) -> Iterator[Path]:
+    """Yield an HTML file that leads to an address and that no other user can read; it is removed in the end.
+
+    Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
+    """
+    with TemporaryDirectory(prefix="fingerflow-") as folder:  # only its owner may enter
+        path = Path(folder) / "open.html"
+        path.write_text(redirect(address), encoding="utf-8")
+        yield path
