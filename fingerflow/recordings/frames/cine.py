@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
-from fingerflow.recordings.frames.packing import packed_bytes, unpack_10bit, unpack_12bit
+from fingerflow.recordings.frames.packing import packed_bytes, unpack
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
 
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
@@ -138,9 +138,9 @@ class _CineLayout:
         height, width = self.shape
         if self.compression == PACKED_10:
             # The 10 bits are companded, not linear: light is proportional to the 12-bit value in the table.
-            image = LINEAR_OF_COMPANDED[unpack_10bit(data, height * width)].reshape(height, width)
+            image = LINEAR_OF_COMPANDED[unpack(data, 10, self.shape)]
         elif self.compression == PACKED_12:
-            image = unpack_12bit(data, height * width).reshape(height, width)
+            image = unpack(data, 12, self.shape)
         else:
             rows = data.reshape(height, -1)[:, : width * self.dtype.itemsize]  # rows may be padded to 4 bytes
             image = np.ascontiguousarray(rows).view(self.dtype.newbyteorder("<")).astype(self.dtype)

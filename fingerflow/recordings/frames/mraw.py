@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.packing import packed_bytes, unpack_12bit
+from fingerflow.recordings.frames.packing import packed_bytes, unpack
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
 from fingerflow.recordings.guard.files import check_file
 
@@ -114,7 +114,7 @@ class MrawRecording(FileRecording):
         layout = self._layout
         data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
         if layout.stored_bits == 12:
-            return unpack_12bit(data, layout.shape[0] * layout.shape[1]).reshape(layout.shape)
+            return unpack(data, 12, layout.shape)
         result: Frames = data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(
             layout.shift
         )
