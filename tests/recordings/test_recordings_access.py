@@ -20,13 +20,13 @@ def path(tmp_path):
 def reads(monkeypatch):
     """Numbers of the frames that were read, in order."""
     numbers: list[int] = []
-    original = NpyRecording._read_frame
+    original = NpyRecording._decode
 
     def counted(self, index):
         numbers.append(index)
         return original(self, index)
 
-    monkeypatch.setattr(NpyRecording, "_read_frame", counted)
+    monkeypatch.setattr(NpyRecording, "_decode", counted)
     return numbers
 
 

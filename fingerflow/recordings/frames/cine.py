@@ -108,7 +108,7 @@ class CineRecording(FileRecording):
         self._layout = layout
         self._bytes: NDArray[np.uint8] = np.memmap(description.path, np.uint8, "r")
 
-    def _read_frame(self, index: int) -> Frames:
+    def _decode(self, index: int) -> Frames:
         # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
         start = int(self._offsets[index])
         start += _unsigned(self._bytes[start : start + 4])

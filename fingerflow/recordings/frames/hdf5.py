@@ -10,6 +10,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import (
+    DamagedFrame,
     Description,
     FileRecording,
     Frames,
@@ -75,15 +76,13 @@ class Hdf5Recording(FileRecording):
         super().__init__(description, frame_rate)
         self._frames = frames
 
-    def _read_frame(self, index: int) -> Frames:
-        if index in self.unreadable:
-            return self._no_picture(index, "")
+    def _decode(self, index: int) -> Frames:
         if not self._frames:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         try:
             return np.asarray(self._frames[index], self.dtype)
         except Exception as error:  # filters raise any exception for a damaged chunk
-            return self._no_picture(index, f"cannot be unpacked ({first_line(error)})")
+            raise DamagedFrame(f"cannot be unpacked ({first_line(error)})") from error
 
     def close(self) -> None:
         if self._frames:

@@ -10,17 +10,20 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
+from fingerflow.recordings.frames.recording import (
+    DamagedFrame,
+    Description,
+    FileRecording,
+    Frames,
+    container_bits,
+    grey_dtype,
+)
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.files import check_file
 from fingerflow.schema.claimed_sizes import impossible_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
-
-
-class DamagedPicture(FingerflowError):
-    """Error for one image that cannot be decoded."""
 
 
 def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
@@ -60,14 +63,10 @@ class ImageRecording(FileRecording):
         super().__init__(description, frame_rate)
         self._files = files
 
-    def _read_frame(self, index: int) -> Frames:
+    def _decode(self, index: int) -> Frames:
         file = self._files[index]
-        if file is None:
-            return self._no_picture(index, "has no file")
-        try:
-            image = read_image(file)
-        except DamagedPicture as error:
-            return self._no_picture(index, str(error))
+        assert file is not None, "a missing file is an unreadable frame"
+        image = read_image(file)
         if image.shape != self.frame_shape or image.dtype != self.dtype:
             raise FingerflowError(
                 f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
@@ -79,7 +78,7 @@ class ImageRecording(FileRecording):
 def read_image(path: Path) -> Frames:
     """Return one grey image (H, W). Grey stored as three equal channels is accepted without loss.
 
-    Raises DamagedPicture where it cannot be decoded, FingerflowError for colour.
+    Raises DamagedFrame where it cannot be decoded, FingerflowError for colour.
     """
     try:
         check_file(path)
@@ -87,13 +86,13 @@ def read_image(path: Path) -> Frames:
             with open_tiff(path, None) as stack:
                 image = stack[0]
                 if stack.unreadable:
-                    raise DamagedPicture(f"{path}: {stack.unreadable[0]}")
+                    raise DamagedFrame(f"{path}: {stack.unreadable[0]}")
                 pages = len(stack)
         else:
             # Read through NumPy: cv2.imread fails silently for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
-        raise DamagedPicture(
+        raise DamagedFrame(
             str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
         ) from error
     if pages != 1:
@@ -110,13 +109,13 @@ def read_image(path: Path) -> Frames:
 def _decoded(path: Path, data: np.ndarray) -> Frames:
     wrong = impossible_picture(data.data)
     if wrong:
-        raise DamagedPicture(f"{path}: {wrong}; copy it again")
+        raise DamagedFrame(f"{path}: {wrong}; copy it again")
     try:
         image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:
         image = None
     if image is None:
-        raise DamagedPicture(f"{path}: cannot be read as an image; it is of another kind or damaged; copy it again")
+        raise DamagedFrame(f"{path}: cannot be read as an image; it is of another kind or damaged; copy it again")
     return image
 
 

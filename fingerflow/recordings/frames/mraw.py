@@ -110,7 +110,7 @@ class MrawRecording(FileRecording):
         self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
         super().__init__(description, frame_rate, self._as_frames(description.count))
 
-    def _read_frame(self, index: int) -> Frames:
+    def _decode(self, index: int) -> Frames:
         layout = self._layout
         data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
         if layout.stored_bits == 12:

@@ -64,7 +64,7 @@ class NpyRecording(FileRecording):
         super().__init__(description, frame_rate, frames)
         self._frames = frames
 
-    def _read_frame(self, index: int) -> Frames:
+    def _decode(self, index: int) -> Frames:
         return np.array(self._frames[index], self.dtype)
 
     def close(self) -> None:

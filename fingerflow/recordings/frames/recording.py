@@ -26,13 +26,11 @@ Frames = NDArray[Any]
 
 @dataclass(frozen=True)
 class Description:
-    """Content of a file's header, as a reader finds it before it reads any frame.
+    """Content of a file's header, as a reader finds it before it reads any frame; see `Recording`.
 
-    `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
     `first_number`: number of the first frame, counted from the trigger, or 0 if the file states no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `has_trigger`: whether time 0 is
-    the camera's trigger. `lossy`: the codec, if it is lossy. `unreadable`: frames known to be damaged, by number, and
-    the reason.
+    `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`: frames known to be
+    damaged, by number, and the reason.
     """
 
     path: Path
@@ -50,6 +48,10 @@ class Description:
     unreadable: Mapping[int, str] = field(default_factory=dict)
 
 
+class DamagedFrame(FingerflowError):
+    """Error for one frame that cannot be read, although others can; the text is the reason, as in `unreadable`."""
+
+
 class Recording(ABC):
     """Grey frames that are read on demand.
 
@@ -64,16 +66,18 @@ class Recording(ABC):
     `lossy`, the codec if it is lossy ("h264", "jpeg"), else None.
     """
 
-    path: Path
-    frame_shape: tuple[int, int]
-    dtype: np.dtype[Any]
-    bit_depth: int | None
-    frame_rate: float | None
     times: NDArray[np.float64] | None
-    warnings: tuple[str, ...]
-    metadata: dict[str, Any]
-    has_trigger: bool
-    lossy: str | None
+
+    def __init__(self, header: Description | Recording) -> None:
+        self.path: Path = header.path
+        self.frame_shape: tuple[int, int] = header.frame_shape
+        self.dtype: np.dtype[Any] = header.dtype
+        self.bit_depth: int | None = header.bit_depth
+        self.frame_rate: float | None = header.frame_rate
+        self.warnings: tuple[str, ...] = header.warnings
+        self.metadata: dict[str, Any] = header.metadata
+        self.has_trigger: bool = header.has_trigger
+        self.lossy: str | None = header.lossy
 
     @property
     def takes_from_other_frames(self) -> str | None:
@@ -96,7 +100,7 @@ class Recording(ABC):
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
-        """Return frame `index` (0 <= index < len) as (H, W); the only method in which a reader reads pixels."""
+        """Return frame `index` (0 <= index < len) as (H, W); NaN or 0 in all pixels if it is unreadable."""
 
     @abstractmethod
     def close(self) -> None:
@@ -172,22 +176,19 @@ class Recording(ABC):
 class FileRecording(Recording):
     """Recording of all frames of a file, the base class of readers.
 
-    Readers add `_read_frame`, and pass `stack`, a memory map (N, H, W), if frames need no decoding. A `frame_rate`
-    given by the user replaces the rate and the time stamps of the file: frame i then lies at (first number + i) /
-    frame_rate, so that time 0 stays at the trigger.
+    Readers add `_decode`, and pass `stack`, a memory map (N, H, W), if frames need no decoding. A `frame_rate` given by
+    the user replaces the rate and the time stamps of the file: frame i then lies at (first number + i) / frame_rate, so
+    that time 0 stays at the trigger.
     """
 
     def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
-        self.path = description.path
-        self.frame_shape = description.frame_shape
+        super().__init__(description)
         self.dtype = description.dtype.newbyteorder("=")
-        self.bit_depth = description.bit_depth
-        self.warnings = description.warnings + (() if description.lossy is None else (lossy_codec(description.lossy),))
-        self.metadata = description.metadata
-        self.has_trigger = description.has_trigger
-        self.lossy = description.lossy
+        if description.lossy is not None:
+            self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
-        self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
+        if frame_rate is not None:
+            self.frame_rate = frame_rate
         self._count = description.count
         # Usable without a copy only if contiguous and in native byte order.
         usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
@@ -206,9 +207,16 @@ class FileRecording(Recording):
     def unreadable(self) -> Mapping[int, str]:
         return MappingProxyType(self._unreadable)
 
-    def _no_picture(self, index: int, reason: str) -> Frames:
-        """Return the substitute for a frame that cannot be read, NaN or 0, and add the frame to `unreadable`."""
-        self._unreadable.setdefault(index, reason)
+    @abstractmethod
+    def _decode(self, index: int) -> Frames:
+        """Return frame `index` (H, W), or raise DamagedFrame; the only method in which a reader reads pixels."""
+
+    def _read_frame(self, index: int) -> Frames:
+        if index not in self._unreadable:
+            try:
+                return self._decode(index)
+            except DamagedFrame as error:
+                self._unreadable[index] = str(error)
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
@@ -223,16 +231,9 @@ class _View(Recording):
     """Selection of frames of a file, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
+        super().__init__(file)
         self._file = file
         self._indices = indices
-        self.path = file.path
-        self.frame_shape = file.frame_shape
-        self.dtype = file.dtype
-        self.bit_depth = file.bit_depth
-        self.warnings = file.warnings
-        self.metadata = file.metadata
-        self.has_trigger = file.has_trigger
-        self.lossy = file.lossy
         self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
         self.frame_rate = _rate_of_view(file.frame_rate, indices)
 

@@ -13,7 +13,14 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
+from fingerflow.recordings.frames.recording import (
+    DamagedFrame,
+    Description,
+    FileRecording,
+    Frames,
+    grey_dtype,
+    missing_frames,
+)
 from fingerflow.recordings.guard.files import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
@@ -54,9 +61,7 @@ class TiffRecording(FileRecording):
         self._file = file
         self._stack = stack
 
-    def _read_frame(self, index: int) -> Frames:
-        if index in self.unreadable:
-            return self._no_picture(index, "")
+    def _decode(self, index: int) -> Frames:
         if isinstance(self._stack, np.ndarray):
             return np.array(self._stack[index], self.dtype)
         if self._stack is None:
@@ -64,9 +69,9 @@ class TiffRecording(FileRecording):
         try:
             image = np.asarray(self._stack[index].asarray())
         except Exception as error:  # codecs raise any exception for a damaged page
-            return self._no_picture(index, f"cannot be decoded ({first_line(error)})")
+            raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
         if image.size != self.frame_shape[0] * self.frame_shape[1]:
-            return self._no_picture(index, f"is {image.shape} and not {self.frame_shape}")
+            raise DamagedFrame(f"is {image.shape} and not {self.frame_shape}")
         return image.astype(self.dtype).reshape(self.frame_shape)
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, missing_frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import reading
 from fingerflow.schema.claimed_sizes import MOST_PIXELS
@@ -105,11 +105,11 @@ class VideoRecording(FileRecording):
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
-    def _read_frame(self, index: int) -> Frames:
-        if index not in self._cache and index not in self.unreadable:
+    def _decode(self, index: int) -> Frames:
+        if index not in self._cache:
             self._decode_to(index)
-        if index in self.unreadable:
-            return self._no_picture(index, "")
+        if index in self._unreadable:
+            raise DamagedFrame(self._unreadable[index])
         return self._cache[index].copy()
 
     def _decode_to(self, wanted: int) -> None:
