@@ -19,7 +19,7 @@ from fingerflow.recordings.frames.recording import (
     missing_frames,
 )
 from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
+from fingerflow.recordings.guard.hdf5 import number_attribute, open_hdf5, stored_whole
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
 NEVER_WRITTEN = "was never written"
@@ -136,13 +136,7 @@ def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bo
 
 
 def _attribute(path: Path, item: h5py.Dataset, name: str) -> float | None:
-    place: Any = item
-    while True:
-        if name in place.attrs:
-            value = np.asarray(place.attrs[name])
-            if value.size != 1 or value.dtype.kind not in "iuf":
-                raise FingerflowError(f"{path}: attribute {name} of {place.name} is {value!r}; it should be one number")
-            return float(value.reshape(-1)[0])
-        if place.name == "/":
-            return None
+    place: h5py.Dataset | h5py.Group = item
+    while (value := number_attribute(place, name, path)) is None and place.name != "/":
         place = place.parent
+    return value
