@@ -142,4 +142,5 @@ def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior:
     odd = window * (offset - centre[:, None])
     spread = np.einsum("fj,fj->f", odd, offset)
     correctable = interior & (spread > 0)
-    return weights - odd * np.where(correctable, moment / np.where(spread > 0, spread, 1.0), 0.0)[:, None]
+    weights -= odd * np.where(correctable, moment / np.where(spread > 0, spread, 1.0), 0.0)[:, None]
+    return weights
