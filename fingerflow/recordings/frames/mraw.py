@@ -40,7 +40,7 @@ XML_PLACES = {
 }
 
 
-def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
+def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
     """Open either file of the pair; raise FingerflowError if the other is missing, for colour or an invalid header."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
@@ -86,7 +86,11 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
             **({"exposure_s": exposure} if exposure else {}),
         },
     )
-    return MrawRecording(description, frame_rate, pixels, layout)
+    stored = np.memmap(pixels, np.uint8, "r", 0, (whole, layout.frame_bytes))
+    if layout.stored_bits == 12 or layout.shift:
+        return _UnpackedRecording(description, frame_rate, stored, layout)
+    frames = stored.view(layout.dtype.newbyteorder("<")).reshape(whole, *layout.shape)
+    return FileRecording(description, frame_rate, frames)
 
 
 @dataclass(frozen=True)
@@ -102,35 +106,25 @@ class _MrawLayout:
     frame_bytes: int
 
 
-class MrawRecording(FileRecording):
-    """Recording whose frames follow each other without gaps."""
+class _UnpackedRecording(FileRecording):
+    """Recording of frames whose pixels are packed, or have to be shifted; `stored` are their bytes (N, frame_bytes)."""
 
-    def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _MrawLayout) -> None:
+    def __init__(
+        self, description: Description, frame_rate: float | None, stored: NDArray[np.uint8], layout: _MrawLayout
+    ) -> None:
+        super().__init__(description, frame_rate)
+        self._stored = stored
         self._layout = layout
-        self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
-        super().__init__(description, frame_rate, self._as_frames(description.count))
 
     def _decode(self, index: int) -> Frames:
-        layout = self._layout
-        data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
+        data, layout = np.asarray(self._stored[index]), self._layout
         if layout.stored_bits == 12:
             return unpack(data, 12, layout.shape)
-        result: Frames = data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(
-            layout.shift
-        )
-        return result
-
-    def _as_frames(self, count: int) -> Frames | None:
-        """Return the bytes as frames (N, H, W); None if pixels are packed or shifted."""
-        layout = self._layout
-        if layout.stored_bits == 12 or layout.shift:
-            return None
-        pixels = self._bytes[: count * layout.frame_bytes].view(layout.dtype.newbyteorder("<"))
-        return pixels.reshape(count, *layout.shape)
+        pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
+        return pixels.reshape(layout.shape)
 
     def close(self) -> None:
-        super().close()
-        self._bytes = np.empty(0, np.uint8)
+        self._stored = self._stored[:0]
 
 
 class _Header:

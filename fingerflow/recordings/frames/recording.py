@@ -174,11 +174,10 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """Recording of all frames of a file, the base class of readers.
+    """Recording of all frames of a file: of `stack`, a memory map (N, H, W), or of a reader that overrides `_decode`.
 
-    Readers add `_decode`, and pass `stack`, a memory map (N, H, W), if frames need no decoding. A `frame_rate` given by
-    the user replaces the rate and the time stamps of the file: frame i then lies at (first number + i) / frame_rate, so
-    that time 0 stays at the trigger.
+    A `frame_rate` given by the user replaces the rate and the time stamps of the file: frame i then lies at
+    (first number + i) / frame_rate, so that time 0 stays at the trigger.
     """
 
     def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
@@ -190,9 +189,7 @@ class FileRecording(Recording):
         if frame_rate is not None:
             self.frame_rate = frame_rate
         self._count = description.count
-        # Usable without a copy only if contiguous and in native byte order.
-        usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
-        self._map = np.asarray(stack) if usable else None
+        self._stack = stack
         if frame_rate is None and description.time_stamps is not None:
             self.times = description.time_stamps
         elif self.frame_rate is not None:
@@ -207,9 +204,11 @@ class FileRecording(Recording):
     def unreadable(self) -> Mapping[int, str]:
         return MappingProxyType(self._unreadable)
 
-    @abstractmethod
     def _decode(self, index: int) -> Frames:
         """Return frame `index` (H, W), or raise DamagedFrame; the only method in which a reader reads pixels."""
+        if self._stack is None:
+            raise FingerflowError(f"{self.path}: the file is closed; open it again")
+        return np.array(self._stack[index], self.dtype)
 
     def _read_frame(self, index: int) -> Frames:
         if index not in self._unreadable:
@@ -220,11 +219,13 @@ class FileRecording(Recording):
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
-        return self._map
+        # Usable without a copy only if contiguous and in native byte order.
+        stack = self._stack
+        usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
+        return np.asarray(stack) if usable else None
 
     def close(self) -> None:
-        """Close the memory map; readers that keep the file open close it too."""
-        self._map = None
+        self._stack = None
 
 
 class _View(Recording):

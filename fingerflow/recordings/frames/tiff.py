@@ -6,6 +6,7 @@ import logging
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names 
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
-def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
+def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
     """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
@@ -36,38 +37,34 @@ def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
     complaints = _Complaints()
     logger = logging.getLogger("tifffile")
     logger.addFilter(complaints)
-    file: tifffile.TiffFile | None = None
     try:
-        with reading(path, "TIFF"):
-            file = tifffile.TiffFile(path)
+        with ExitStack() as opened, reading(path, "TIFF"):
+            file = opened.enter_context(tifffile.TiffFile(path))
             _check_chain(path, file)
-            description, stack = _describe(path, file, file.series, complaints.messages)
-            return TiffRecording(description, frame_rate, file, stack)
-    except FingerflowError:
-        if file is not None:
-            file.close()
-        raise
+            description, frames = _describe(path, file, file.series, complaints.messages)
+            if isinstance(frames, np.ndarray):
+                return FileRecording(description, frame_rate, frames)
+            opened.pop_all()
+            return _PagesRecording(description, frame_rate, file, frames)
     finally:
         logger.removeFilter(complaints)
 
 
-class TiffRecording(FileRecording):
-    """Recording of frames from a memory map, or page by page if they are compressed or scattered."""
+class _PagesRecording(FileRecording):
+    """Recording of compressed or scattered frames, which are read page by page."""
 
     def __init__(
-        self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, stack: _Stack
+        self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, pages: Sequence[Any]
     ) -> None:
-        super().__init__(description, frame_rate, stack if isinstance(stack, np.ndarray) else None)
+        super().__init__(description, frame_rate)
         self._file = file
-        self._stack = stack
+        self._pages = pages
 
     def _decode(self, index: int) -> Frames:
-        if isinstance(self._stack, np.ndarray):
-            return np.array(self._stack[index], self.dtype)
-        if self._stack is None:
+        if self._file.filehandle.closed:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         try:
-            image = np.asarray(self._stack[index].asarray())
+            image = np.asarray(self._pages[index].asarray())
         except Exception as error:  # codecs raise any exception for a damaged page
             raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
         if image.size != self.frame_shape[0] * self.frame_shape[1]:
@@ -75,13 +72,7 @@ class TiffRecording(FileRecording):
         return image.astype(self.dtype).reshape(self.frame_shape)
 
     def close(self) -> None:
-        super().close()
-        self._stack = None
         self._file.close()
-
-
-_Stack = Sequence[Any] | np.ndarray[Any, Any] | None
-"""Pages, each decoded when it is asked for; or a map of all; None when closed."""
 
 
 class _Complaints(logging.Filter):
@@ -120,7 +111,10 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
         offset = struct.unpack(layout.offsetformat, following)[0]
 
 
-def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]) -> tuple[Description, _Stack]:
+def _describe(
+    path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]
+) -> tuple[Description, Sequence[Any] | Frames]:
+    """Return the header and either a memory map of the frames, or their pages, which are decoded one by one."""
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
     kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
@@ -148,7 +142,7 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
         # ImageJ stores contiguous pixels, then the list of pages; if only that is cut off, the count is still known.
         count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
-    frames: _Stack = None
+    frames: Sequence[Any] | Frames = []
     damaged: dict[int, str] = {}
     if one_piece:
         whole = min(count, (size - stack.dataoffset) // (height * width * dtype.itemsize))
