@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from cine_writer import Cine, pack_bits
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
+from tests.recordings.camera_files import Cine, pack_bits
 
 
 def frames_of(bits: int, count: int = 5, shape: tuple[int, int] = (6, 10)) -> np.ndarray:

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import tifffile
 from test_recordings_mraw import FRAMES as MRAW_FRAMES
-from test_recordings_mraw import write_pair
-from test_recordings_video import COUNT, frames_of, write
+from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
 from fingerflow.recordings.frames import video
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
+from tests.recordings.camera_files import write_photron, write_video
 
 RNG = np.random.default_rng(23)
 GREY = RNG.integers(1, 256, (6, 20, 30)).astype(np.uint8)
@@ -37,7 +37,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
 
 
 def test_a_pipe_beside_a_recording_is_not_waited_for(tmp_path):
-    path = write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
+    path = write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
     (tmp_path / "take 1.cih").unlink()
     os.mkfifo(tmp_path / "take 1.cih")
     with pytest.raises(FingerflowError, match=r"take 1\.cih: is a pipe"):
@@ -298,7 +298,7 @@ def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
 
 
 def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
-    path = write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
+    path = write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
     header = tmp_path / "take 1.cih"
     whole = header.read_bytes()
     for cut, said in (
@@ -314,13 +314,13 @@ def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
     recording = open_recording(path)
     assert recording.bit_depth == 12
     assert "no line END" in recording.warnings[0]
-    assert open_recording(write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())).warnings == ()
+    assert open_recording(write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())).warnings == ()
 
 
 def test_photron_numbers_that_cannot_be(tmp_path):
     for changes in ({"Total_Frame": "nan"}, {"Image_Width": "1e300"}, {"Image_Width": 8.5}, {"Save_Step": -1}):
         with pytest.raises(FingerflowError, match=r"correct the header|cannot be"):
-            open_recording(write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes(), **changes))
+            open_recording(write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes(), **changes))
 
 
 # Videos
@@ -335,7 +335,7 @@ def flipped(path: Path, place: int) -> Path:
 
 def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
     frames = frames_of(8)
-    path = write(tmp_path / "a.mkv", frames, "ffv1", "gray", g="1")
+    path = write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", g="1")
     size = path.stat().st_size
     rng = np.random.default_rng(4)
     clean = path.read_bytes()
@@ -352,7 +352,7 @@ def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
 def test_a_checksum_of_ffv1(tmp_path):
     import av
 
-    path = write(tmp_path / "a.mkv", frames_of(8)[:3], "ffv1", "gray")
+    path = write_video(tmp_path / "a.mkv", frames_of(8)[:3], "ffv1", "gray")
     with av.open(str(path)) as container:
         packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
     assert len(packets) == 3
@@ -367,7 +367,7 @@ def test_a_checksum_of_ffv1(tmp_path):
 
 def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_path):
     frames = frames_of(8)
-    path = write(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
+    path = write_video(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
     clean = open_recording(path).read()
     whole = path.read_bytes()
     rng, flagged, silent = np.random.default_rng(8), 0, 0
@@ -401,7 +401,7 @@ def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_pa
     ],
 )
 def test_lossy_codecs_are_named(tmp_path, name, codec, pixels, options, lossy):
-    recording = open_recording(write(tmp_path / name, frames_of(8)[:12], codec, pixels, **options))
+    recording = open_recording(write_video(tmp_path / name, frames_of(8)[:12], codec, pixels, **options))
     assert recording.lossy == lossy == recording[2:5].lossy
     assert sum("is a lossy codec" in sentence for sentence in recording.warnings) == (lossy is not None)
 
@@ -418,7 +418,7 @@ def test_jpeg_is_lossy(tmp_path):
 @pytest.mark.parametrize("rate", [300, 1000])
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.97, 0.999])
 def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
-    path = write(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
+    path = write_video(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
     assert open_recording(path).warnings == ()
     assert video.unfinished(path) == ""
     data = path.read_bytes()

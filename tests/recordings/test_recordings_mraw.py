@@ -1,44 +1,18 @@
 """Photron `.mraw` with its `.cih` or `.cihx`: written by the test, and a real pair."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from cine_writer import pack_bits
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
+from tests.recordings.camera_files import pack_bits, write_photron
 
 FRAMES = np.random.default_rng(3).integers(0, 4096, (6, 5, 8)).astype(np.uint16)
 
 
-def write_pair(folder: Path, data: bytes, header: str = ".cih", **changes: object) -> Path:
-    entries = {
-        "Camera Type": "FASTCAM SA-Z type 2100K-M-64GB",
-        "Record Rate(fps)": 3000,
-        "Shutter Type2(nsec)": 65060,
-        "Total Frame": 6,
-        "Start Frame": -20,
-        "Save Step": 10,
-        "Image Width": 8,
-        "Image Height": 5,
-        "Color Type": "Mono",
-        "Color Bit": 16,
-        "File Format": "MRaw",
-        "EffectiveBit Depth": 12,
-        "EffectiveBit Side": "Lower",
-    } | {name.replace("_", " "): value for name, value in changes.items()}
-    (folder / "take 1.mraw").write_bytes(data)
-    text = "#Camera Information Header\r\nComment Text : mesure \xe0 5 N\r\n"
-    text += "".join(f"{name} : {value}\r\n" for name, value in entries.items())
-    text += "\r\nEND\r\nImage Width : 999\r\n"
-    (folder / f"take 1{header}").write_bytes(text.encode("latin-1"))
-    return folder / "take 1.mraw"
-
-
 @pytest.mark.parametrize("opened", ["take 1.mraw", "take 1.cih"])
 def test_sixteen_bit_from_either_file_of_the_pair(tmp_path, opened):
-    write_pair(tmp_path, FRAMES.astype("<u2").tobytes())
+    write_photron(tmp_path, FRAMES.astype("<u2").tobytes())
     recording = open_recording(tmp_path / opened)
     np.testing.assert_array_equal(recording.read(), FRAMES)
     np.testing.assert_array_equal(recording.mapped(), FRAMES)
@@ -49,7 +23,7 @@ def test_sixteen_bit_from_either_file_of_the_pair(tmp_path, opened):
 
 
 def test_bits_on_the_higher_side_are_shifted_down(tmp_path):
-    path = write_pair(tmp_path, (FRAMES << 4).astype("<u2").tobytes(), EffectiveBit_Side="Higher")
+    path = write_photron(tmp_path, (FRAMES << 4).astype("<u2").tobytes(), EffectiveBit_Side="Higher")
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
     np.testing.assert_array_equal(recording.mapped(), FRAMES)
@@ -57,7 +31,7 @@ def test_bits_on_the_higher_side_are_shifted_down(tmp_path):
 
 
 def test_twelve_bit_packed(tmp_path):
-    path = write_pair(tmp_path, b"".join(pack_bits(frame, 12) for frame in FRAMES), Color_Bit=12)
+    path = write_photron(tmp_path, b"".join(pack_bits(frame, 12) for frame in FRAMES), Color_Bit=12)
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
     np.testing.assert_array_equal(recording.mapped(), FRAMES)
@@ -66,22 +40,16 @@ def test_twelve_bit_packed(tmp_path):
 
 def test_eight_bits_of_a_twelve_bit_sensor_are_eight(tmp_path):
     frames = (FRAMES >> 4).astype(np.uint8)
-    recording = open_recording(write_pair(tmp_path, frames.tobytes(), Color_Bit=8, EffectiveBit_Side="Higher"))
+    recording = open_recording(write_photron(tmp_path, frames.tobytes(), Color_Bit=8, EffectiveBit_Side="Higher"))
     np.testing.assert_array_equal(recording.read(), frames)
     assert recording.bit_depth == 8
     assert recording.metadata["sensor_bits"] == 12
 
 
 def test_xml_header_between_binary_blocks(tmp_path):
-    path = write_pair(tmp_path, FRAMES.astype("<u2").tobytes(), header=".unused")
-    xml = """<cih><imageFileInfo><fileFormat>Mraw</fileFormat></imageFileInfo>
-    <imageDataInfo><resolution><width>8</width><height>5</height></resolution>
-    <colorInfo><type>Raw</type><bit>16</bit></colorInfo>
-    <effectiveBit><depth>12</depth><side>Lower</side></effectiveBit></imageDataInfo>
-    <frameInfo><totalFrame>6</totalFrame><startFrame>52</startFrame><skipFrame>2</skipFrame></frameInfo>
-    <recordInfo><recordRate>2000</recordRate><shutterSpeedNsec>20000</shutterSpeedNsec></recordInfo>
-    <deviceInfo><deviceName>FASTCAM Nova S16 type 1100K-M-64GB</deviceName></deviceInfo></cih>"""
-    (tmp_path / "take 1.cihx").write_bytes(b"\x00\xffCIHX" + xml.encode() + b"\x01\x02")
+    entries = {"File_Format": "Mraw", "Color_Type": "Raw", "Start_Frame": 52, "Save_Step": 2, "Record_Rate(fps)": 2000}
+    entries["Camera_Type"] = "FASTCAM Nova S16 type 1100K-M-64GB"
+    path = write_photron(tmp_path, FRAMES.astype("<u2").tobytes(), ".cihx", **entries)
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
     np.testing.assert_array_equal(recording.mapped(), FRAMES)
@@ -91,12 +59,12 @@ def test_xml_header_between_binary_blocks(tmp_path):
 
 
 def test_truncated(tmp_path):
-    recording = open_recording(write_pair(tmp_path, FRAMES.astype("<u2").tobytes()[:-90]))
+    recording = open_recording(write_photron(tmp_path, FRAMES.astype("<u2").tobytes()[:-90]))
     assert len(recording) == 4
     np.testing.assert_array_equal(recording.read(), FRAMES[:4])
     assert recording.warnings == ("truncated: 2 of 6 frames are missing at the end of the file",)
     with pytest.raises(FingerflowError, match="not one frame"):
-        open_recording(write_pair(tmp_path, b"123"))
+        open_recording(write_photron(tmp_path, b"123"))
 
 
 @pytest.mark.parametrize(
@@ -114,15 +82,15 @@ def test_truncated(tmp_path):
 )
 def test_refused_by_name(tmp_path, changes, named):
     with pytest.raises(FingerflowError, match=named):
-        open_recording(write_pair(tmp_path, FRAMES.tobytes(), **changes))
+        open_recording(write_photron(tmp_path, FRAMES.tobytes(), **changes))
 
 
 def test_one_file_of_the_pair_alone(tmp_path):
-    path = write_pair(tmp_path, FRAMES.tobytes())
+    path = write_photron(tmp_path, FRAMES.tobytes())
     (tmp_path / "take 1.cih").unlink()
     with pytest.raises(FingerflowError, match=r"\.cih"):
         open_recording(path)
-    path = write_pair(tmp_path, FRAMES.tobytes())
+    path = write_photron(tmp_path, FRAMES.tobytes())
     path.unlink()
     with pytest.raises(FingerflowError, match=r"\.mraw"):
         open_recording(tmp_path / "take 1.cih")
