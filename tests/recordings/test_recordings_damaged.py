@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import tifffile
 from test_recordings_mraw import FRAMES as MRAW_FRAMES
+from test_recordings_mraw import stored
 from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
@@ -37,7 +38,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
 
 
 def test_a_pipe_beside_a_recording_is_not_waited_for(tmp_path):
-    path = write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
+    path = write_photron(tmp_path, stored(MRAW_FRAMES))
     (tmp_path / "take 1.cih").unlink()
     os.mkfifo(tmp_path / "take 1.cih")
     with pytest.raises(FingerflowError, match=r"take 1\.cih: is a pipe"):
@@ -294,7 +295,7 @@ def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
 
 
 def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
-    path = write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
+    path = write_photron(tmp_path, stored(MRAW_FRAMES))
     header = tmp_path / "take 1.cih"
     whole = header.read_bytes()
     for cut, said in (
@@ -310,13 +311,7 @@ def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
     recording = open_recording(path)
     assert recording.bit_depth == 12
     assert "no line END" in recording.warnings[0]
-    assert open_recording(write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())).warnings == ()
-
-
-def test_photron_numbers_that_cannot_be(tmp_path):
-    for changes in ({"Total_Frame": "nan"}, {"Image_Width": "1e300"}, {"Image_Width": 8.5}, {"Save_Step": -1}):
-        with pytest.raises(FingerflowError, match=r"correct the header|cannot be"):
-            open_recording(write_photron(tmp_path, MRAW_FRAMES.astype("<u2").tobytes(), **changes))
+    assert open_recording(write_photron(tmp_path, stored(MRAW_FRAMES))).warnings == ()
 
 
 # Videos
