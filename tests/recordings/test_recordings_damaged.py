@@ -171,7 +171,7 @@ def test_a_damaged_chunk_is_its_frames(tmp_path):
     recording = open_recording(tmp_path / "a.h5")
     frames = recording.read()
     assert list(recording.unreadable) == [3]
-    assert recording.unreadable[3].startswith("cannot be unpacked (")
+    assert recording.unreadable[3].startswith("cannot be decoded (")
     np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
 
 

@@ -215,7 +215,7 @@ def test_natural_order_of_names_that_mix_words_and_numbers(tmp_path):
     for name in names:
         cv2.imwrite(str(tmp_path / name), GREY8[0])
     recording = open_recording(tmp_path)
-    order = [file.name for file in recording._files]
+    order = [file.name for file in recording._frames.files]
     for before, after in (
         ("a1b2.png", "a1b10.png"),
         ("a02.png", "a10.png"),

@@ -45,7 +45,7 @@ SETUP_FIELDS = {
 }
 
 
-def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a recording by its headers and image offsets alone; raise FingerflowError for colour and for damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
@@ -94,33 +94,28 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
         warnings=(*warnings, *complaints),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
     )
-    return CineRecording(description, frame_rate, table[:whole], layout)
+    return FileRecording(description, _CineFrames(path, data, table[:whole], layout))
 
 
-class CineRecording(FileRecording):
-    """Recording whose frames are found by their offset, so that the size of the file does not matter."""
+class _CineFrames:
+    """Frames that are found by their offset in the bytes of the file, so that its size does not matter."""
 
-    def __init__(
-        self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _CineLayout
-    ) -> None:
-        super().__init__(description, frame_rate)
+    def __init__(self, path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout) -> None:
+        self._path = path
+        self._bytes = data
         self._offsets = offsets
         self._layout = layout
-        self._bytes: NDArray[np.uint8] = np.memmap(description.path, np.uint8, "r")
 
-    def _decode(self, index: int) -> Frames:
+    def __getitem__(self, index: int) -> Frames:
         # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
         start = int(self._offsets[index])
         start += _unsigned(self._bytes[start : start + 4])
         image_bytes = _unsigned(self._bytes[start - 4 : start])
         if image_bytes != self._layout.image_bytes:
             raise FingerflowError(
-                f"{self.path}: frame {index} has {image_bytes} bytes instead of {self._layout.image_bytes}"
+                f"{self._path}: frame {index} has {image_bytes} bytes instead of {self._layout.image_bytes}"
             )
         return self._layout.pixels(np.asarray(self._bytes[start : start + image_bytes]))
-
-    def close(self) -> None:
-        self._bytes = np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True)

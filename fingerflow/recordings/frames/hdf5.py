@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from fingerflow.errors import FingerflowError, first_line
+from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import (
-    DamagedFrame,
     Description,
     FileRecording,
-    Frames,
     container_bits,
     grey_dtype,
     missing_frames,
@@ -25,7 +24,7 @@ CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should 
 NEVER_WRITTEN = "was never written"
 
 
-def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5Recording:
+def open_frames(path: Path, dataset: str = "") -> FileRecording:
     """Open the only data set of three dimensions, or the one that `dataset` names.
 
     Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
@@ -34,14 +33,11 @@ def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5
     Raises FingerflowError, naming the data sets, if the choice is ambiguous; and where the frames are in other files
     that are missing, or cannot be in this one by its size.
     """
-    file = open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES)
-    try:
-        with reading(path, "HDF5"):
-            description, frames = _describe(path, file, dataset)
-    except FingerflowError:
-        file.close()
-        raise
-    return Hdf5Recording(description, frame_rate, frames)
+    with ExitStack() as opened, reading(path, "HDF5"):
+        file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
+        description, frames = _describe(path, file, dataset)
+        opened.pop_all()
+    return FileRecording(description, frames, file.close)
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
@@ -67,26 +63,6 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
         unreadable={int(index): NEVER_WRITTEN for index in np.flatnonzero(lacking[:count])},
     )
     return description, frames
-
-
-class Hdf5Recording(FileRecording):
-    """Recording of frames that are read from the data set one at a time."""
-
-    def __init__(self, description: Description, frame_rate: float | None, frames: h5py.Dataset) -> None:
-        super().__init__(description, frame_rate)
-        self._frames = frames
-
-    def _decode(self, index: int) -> Frames:
-        if not self._frames:
-            raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        try:
-            return np.asarray(self._frames[index], self.dtype)
-        except Exception as error:  # filters raise any exception for a damaged chunk
-            raise DamagedFrame(f"cannot be unpacked ({first_line(error)})") from error
-
-    def close(self) -> None:
-        if self._frames:
-            self._frames.file.close()
 
 
 def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:

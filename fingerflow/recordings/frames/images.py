@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -26,7 +27,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
 
-def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open all images of a folder, or the image `path`.
 
     Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
@@ -41,7 +42,7 @@ def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
     if path.is_dir():
         files, warnings = _in_order(path)
     there = [file for file in files if file is not None]
-    first = read_image(there[0])
+    first = _read_image(there[0])
     description = Description(
         path=path,
         count=len(files),
@@ -53,29 +54,30 @@ def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
         unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
-    return ImageRecording(description, frame_rate, files)
+    return FileRecording(description, _Images(files, description))
 
 
-class ImageRecording(FileRecording):
-    """Recording of one file a frame; None in place of a file whose number is missing."""
+class _Images:
+    """One file a frame; None in place of a file whose number is missing. All are as the first one, of `description`."""
 
-    def __init__(self, description: Description, frame_rate: float | None, files: list[Path | None]) -> None:
-        super().__init__(description, frame_rate)
-        self._files = files
+    def __init__(self, files: Sequence[Path | None], description: Description) -> None:
+        self.files = files
+        self._expected = description
 
-    def _decode(self, index: int) -> Frames:
-        file = self._files[index]
+    def __getitem__(self, index: int) -> Frames:
+        file, expected = self.files[index], self._expected
         assert file is not None, "a missing file is an unreadable frame"
-        image = read_image(file)
-        if image.shape != self.frame_shape or image.dtype != self.dtype:
+        image = _read_image(file)
+        if image.shape != expected.frame_shape or image.dtype != expected.dtype:
             raise FingerflowError(
                 f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
-                f"{self.metadata['first_file']}, is {self.frame_shape[0]} x {self.frame_shape[1]} {self.dtype}"
+                f"{expected.metadata['first_file']}, is {expected.frame_shape[0]} x {expected.frame_shape[1]} "
+                f"{expected.dtype}"
             )
         return image
 
 
-def read_image(path: Path) -> Frames:
+def _read_image(path: Path) -> Frames:
     """Return one grey image (H, W). Grey stored as three equal channels is accepted without loss.
 
     Raises DamagedFrame where it cannot be decoded, FingerflowError for colour.
@@ -83,7 +85,7 @@ def read_image(path: Path) -> Frames:
     try:
         check_file(path)
         if path.suffix.lower() in (".tif", ".tiff"):
-            with open_tiff(path, None) as stack:
+            with open_tiff(path) as stack:
                 image = stack[0]
                 if stack.unreadable:
                     raise DamagedFrame(f"{path}: {stack.unreadable[0]}")

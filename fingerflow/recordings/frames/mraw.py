@@ -40,7 +40,7 @@ XML_PLACES = {
 }
 
 
-def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open either file of the pair; raise FingerflowError if the other is missing, for colour or an invalid header."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
@@ -88,9 +88,9 @@ def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
     )
     stored = np.memmap(pixels, np.uint8, "r", 0, (whole, layout.frame_bytes))
     if layout.stored_bits == 12 or layout.shift:
-        return _UnpackedRecording(description, frame_rate, stored, layout)
+        return FileRecording(description, _CodedFrames(stored, layout))
     frames = stored.view(layout.dtype.newbyteorder("<")).reshape(whole, *layout.shape)
-    return FileRecording(description, frame_rate, frames)
+    return FileRecording(description, frames)
 
 
 @dataclass(frozen=True)
@@ -106,25 +106,19 @@ class _MrawLayout:
     frame_bytes: int
 
 
-class _UnpackedRecording(FileRecording):
-    """Recording of frames whose pixels are packed, or have to be shifted; `stored` are their bytes (N, frame_bytes)."""
+class _CodedFrames:
+    """Frames whose pixels are packed, or have to be shifted; `stored` are their bytes (N, frame_bytes)."""
 
-    def __init__(
-        self, description: Description, frame_rate: float | None, stored: NDArray[np.uint8], layout: _MrawLayout
-    ) -> None:
-        super().__init__(description, frame_rate)
+    def __init__(self, stored: NDArray[np.uint8], layout: _MrawLayout) -> None:
         self._stored = stored
         self._layout = layout
 
-    def _decode(self, index: int) -> Frames:
+    def __getitem__(self, index: int) -> Frames:
         data, layout = np.asarray(self._stored[index]), self._layout
         if layout.stored_bits == 12:
             return unpack(data, 12, layout.shape)
         pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
         return pixels.reshape(layout.shape)
-
-    def close(self) -> None:
-        self._stored = self._stored[:0]
 
 
 class _Header:

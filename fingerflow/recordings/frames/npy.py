@@ -18,7 +18,7 @@ from fingerflow.recordings.frames.recording import (
 from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
-def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a file by its header alone; raise FingerflowError for other shapes and pixels that are not grey values."""
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
@@ -53,4 +53,4 @@ def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
         bit_depth=container_bits(dtype),
         warnings=(missing_frames(count - whole, count),) if whole < count else (),
     )
-    return FileRecording(description, frame_rate, frames)
+    return FileRecording(description, frames)

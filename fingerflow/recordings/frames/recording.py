@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, overload
+from typing import Any, Protocol, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 
 # Lossy codecs, by the names of FFmpeg and tifffile, that compress each frame by itself (intra-frame).
 EACH_FRAME_BY_ITSELF = frozenset(
@@ -173,29 +173,36 @@ class Recording(ABC):
         return index % count
 
 
+class FramesByIndex(Protocol):
+    """What reads frame `index` as (H, W), or raises why it cannot: a memory map, a data set, an object of a reader."""
+
+    def __getitem__(self, index: int) -> Any: ...
+
+
 class FileRecording(Recording):
-    """Recording of all frames of a file: of `stack`, a memory map (N, H, W), or of a reader that overrides `_decode`.
+    """Recording of all frames of a file, read by `frames`; `close_file` closes it."""
 
-    A `frame_rate` given by the user replaces the rate and the time stamps of the file: frame i then lies at
-    (first number + i) / frame_rate, so that time 0 stays at the trigger.
-    """
-
-    def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
+    def __init__(
+        self, description: Description, frames: FramesByIndex | None, close_file: Callable[[], None] = lambda: None
+    ) -> None:
         super().__init__(description)
         self.dtype = description.dtype.newbyteorder("=")
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
-        if frame_rate is not None:
-            self.frame_rate = frame_rate
-        self._count = description.count
-        self._stack = stack
-        if frame_rate is None and description.time_stamps is not None:
-            self.times = description.time_stamps
-        elif self.frame_rate is not None:
-            self.times = np.asarray((description.first_number + np.arange(description.count)) / self.frame_rate)
-        else:
-            self.times = None
+        self._count, self._first_number = description.count, description.first_number
+        self._frames, self._close_file = frames, close_file
+        self.times = description.time_stamps
+        if self.times is None and self.frame_rate is not None:
+            self.replace_rate(self.frame_rate)
+
+    def replace_rate(self, frame_rate: float) -> None:
+        """Replace the rate and the time stamps of the file: frame i lies at (first number + i) / frame_rate.
+
+        Time 0 stays at the trigger.
+        """
+        self.frame_rate = frame_rate
+        self.times = np.asarray((self._first_number + np.arange(self._count)) / frame_rate)
 
     def __len__(self) -> int:
         return self._count
@@ -205,10 +212,16 @@ class FileRecording(Recording):
         return MappingProxyType(self._unreadable)
 
     def _decode(self, index: int) -> Frames:
-        """Return frame `index` (H, W), or raise DamagedFrame; the only method in which a reader reads pixels."""
-        if self._stack is None:
+        """Return frame `index` (H, W), or raise DamagedFrame; the only method in which pixels are read."""
+        if self._frames is None:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        return np.array(self._stack[index], self.dtype)
+        copied = np.array if isinstance(self._frames, np.ndarray) else np.asarray  # from a memory map; others are new
+        try:
+            return copied(self._frames[index], self.dtype)
+        except FingerflowError:
+            raise
+        except Exception as error:  # codecs and filters raise any exception for a damaged frame
+            raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
 
     def _read_frame(self, index: int) -> Frames:
         if index not in self._unreadable:
@@ -220,12 +233,13 @@ class FileRecording(Recording):
 
     def _memory_map(self) -> Frames | None:
         # Usable without a copy only if contiguous and in native byte order.
-        stack = self._stack
-        usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
-        return np.asarray(stack) if usable else None
+        frames = self._frames
+        usable = isinstance(frames, np.ndarray) and frames.dtype == self.dtype and frames.flags.c_contiguous
+        return np.asarray(frames) if usable else None
 
     def close(self) -> None:
-        self._stack = None
+        self._frames = None
+        self._close_file()
 
 
 class _View(Recording):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from fingerflow.errors import FingerflowError, first_line
+from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import (
     DamagedFrame,
     Description,
@@ -28,7 +28,7 @@ LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names 
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
-def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
@@ -43,36 +43,25 @@ def open_frames(path: Path, frame_rate: float | None) -> FileRecording:
             _check_chain(path, file)
             description, frames = _describe(path, file, file.series, complaints.messages)
             if isinstance(frames, np.ndarray):
-                return FileRecording(description, frame_rate, frames)
+                return FileRecording(description, frames)
             opened.pop_all()
-            return _PagesRecording(description, frame_rate, file, frames)
+            return FileRecording(description, _Pages(frames, description.frame_shape), file.close)
     finally:
         logger.removeFilter(complaints)
 
 
-class _PagesRecording(FileRecording):
-    """Recording of compressed or scattered frames, which are read page by page."""
+class _Pages:
+    """Compressed or scattered frames, which are decoded one by one."""
 
-    def __init__(
-        self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, pages: Sequence[Any]
-    ) -> None:
-        super().__init__(description, frame_rate)
-        self._file = file
+    def __init__(self, pages: Sequence[Any], shape: tuple[int, int]) -> None:
         self._pages = pages
+        self._shape = shape
 
-    def _decode(self, index: int) -> Frames:
-        if self._file.filehandle.closed:
-            raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        try:
-            image = np.asarray(self._pages[index].asarray())
-        except Exception as error:  # codecs raise any exception for a damaged page
-            raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
-        if image.size != self.frame_shape[0] * self.frame_shape[1]:
-            raise DamagedFrame(f"is {image.shape} and not {self.frame_shape}")
-        return image.astype(self.dtype).reshape(self.frame_shape)
-
-    def close(self) -> None:
-        self._file.close()
+    def __getitem__(self, index: int) -> Frames:
+        image = np.asarray(self._pages[index].asarray())
+        if image.size != self._shape[0] * self._shape[1]:
+            raise DamagedFrame(f"is {image.shape} and not {self._shape}")
+        return image.reshape(self._shape)
 
 
 class _Complaints(logging.Filter):

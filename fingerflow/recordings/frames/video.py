@@ -32,7 +32,7 @@ LUMA_RANGE = {1: "limited", 2: "full"}
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 
-def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
+def open_frames(path: Path) -> VideoRecording:
     """Find the position of each frame without decoding; raise FingerflowError for files that FFmpeg cannot read.
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
@@ -85,7 +85,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
         unreadable=index.damaged,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
-    return VideoRecording(description, frame_rate, pixels, index)
+    return VideoRecording(description, pixels, index)
 
 
 class VideoRecording(FileRecording):
@@ -94,8 +94,8 @@ class VideoRecording(FileRecording):
     Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
 
-    def __init__(self, description: Description, frame_rate: float | None, pixels: _Pixels, index: _Index) -> None:
-        super().__init__(description, frame_rate)
+    def __init__(self, description: Description, pixels: _Pixels, index: _Index) -> None:
+        super().__init__(description, None)
         self._pixels = pixels
         self._index = index
         self._container: Any = None
