@@ -195,16 +195,13 @@ def _forces_tdms(folder: Path) -> list[Sample]:
 
 
 def _calibration(folder: Path) -> list[Sample]:
-    disc = "center = [12.5, 13.0]\nsemi_axes_px = [5.0, 5.0]\nangle = 0.0\ncenter_sigma_px = 0.1\nedge_rms_px = 0.1\n"
-    disc += "coverage = 1.0\ncontrast = 0.5\nsignificance = 20.0\n"
-    text = "mm_per_px = 0.02\nwarnings = []\n"
-    for view, columns in (("contact", "[32, 64]"), ("topography", "[0, 32]")):
-        text += f'[views."{view}"]\nrows = [0, 24]\ncolumns = {columns}\n'
-    text += f"[hole]\nradius_mm = 2.75\n{disc}"
-    for kind in ("affine", "similarity"):
-        text += f"[topography_to_contact.{kind}]\nrms_px = 0.1\nmatrix = [[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]\n"
-        text += "residuals_px = [[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]]\n"
-    text += f"[[discs]]\n[discs.topography]\n{disc}[discs.contact]\n{disc}"
+    from fingerflow.calibration import Calibration, Disc, Transform
+    from fingerflow.schema.views import View
+
+    disc = Disc((12.5, 13.0), (5.0, 5.0), 0.0, 0.1, 0.1, 1.0, 0.5, 20.0)
+    transform = Transform(np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]), np.full((3, 2), 0.1))
+    views = {"contact": View((0, 24), (32, 64)), "topography": View((0, 24), (0, 32))}
+    text = Calibration(0.02, 2.75, disc, views, ((disc, disc),), transform, transform).to_toml()
     return [Sample({"calibration.toml": text.encode()}, "calibration.toml", "calibration.toml")]
 
 

@@ -16,8 +16,6 @@ from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
-from fingerflow.recordings.frames import video
-from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from tests.recordings.camera_files import write_photron, write_video
 
 RNG = np.random.default_rng(23)
@@ -306,22 +304,6 @@ def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
     assert recording.lossy is None
 
 
-def test_a_checksum_of_ffv1(tmp_path):
-    import av
-
-    path = write_video(tmp_path / "a.mkv", frames_of(8)[:3], "ffv1", "gray")
-    with av.open(str(path)) as container:
-        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
-    assert len(packets) == 3
-    for packet in packets:
-        assert slices_are_whole(packet)
-        for place in (0, len(packet) // 2, len(packet) - 1):
-            broken = bytearray(packet)
-            broken[place] ^= 1
-            assert not slices_are_whole(bytes(broken))
-    assert not slices_are_whole(b"")
-
-
 def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_path):
     frames = frames_of(8)
     path = write_video(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
@@ -377,7 +359,6 @@ def test_jpeg_is_lossy(tmp_path):
 def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
     path = write_video(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
     assert open_recording(path).warnings == ()
-    assert video.unfinished(path) == ""
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     assert any(sentence.startswith("truncated") for sentence in open_recording(path).warnings)
