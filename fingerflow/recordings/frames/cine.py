@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
 
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
@@ -69,8 +69,7 @@ def open_frames(path: Path) -> FileRecording:
     if whole == 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
 
-    warnings = [missing_frames(count - whole, count)] if whole < count else []
-    warnings += [
+    warnings = [
         f"{name} is set: a player would turn the picture; the frames here are as the sensor recorded them"
         for name in ("bFlipH", "bFlipV", "Rotate")
         if setup[name]
@@ -84,6 +83,7 @@ def open_frames(path: Path) -> FileRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=layout.shape,
         dtype=layout.dtype,
         bit_depth=layout.bit_depth,

@@ -10,13 +10,7 @@ import h5py
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import (
-    Description,
-    FileRecording,
-    container_bits,
-    grey_dtype,
-    missing_frames,
-)
+from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.hdf5 import number_attribute, open_hdf5, stored_whole
 
@@ -54,12 +48,12 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     description = Description(
         path=path,
         count=count,
+        stated_count=len(lacking),
         frame_shape=frames.shape[1:],
         dtype=dtype,
-        bit_depth=int(depth) if depth is not None and dtype.kind == "u" else container_bits(dtype),
+        bit_depth=None if depth is None else int(depth),
         frame_rate=rate,
         metadata={"dataset": frames.name},
-        warnings=(missing_frames(len(lacking) - count, len(lacking)),) if count < len(lacking) else (),
         unreadable={int(index): NEVER_WRITTEN for index in np.flatnonzero(lacking[:count])},
     )
     return description, frames

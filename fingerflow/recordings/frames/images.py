@@ -11,14 +11,7 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import (
-    DamagedFrame,
-    Description,
-    FileRecording,
-    Frames,
-    container_bits,
-    grey_dtype,
-)
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.files import check_file
 from fingerflow.schema.claimed_sizes import impossible_picture
@@ -48,7 +41,6 @@ def open_frames(path: Path) -> FileRecording:
         count=len(files),
         frame_shape=(first.shape[0], first.shape[1]),
         dtype=first.dtype,
-        bit_depth=container_bits(first.dtype),
         lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
         warnings=warnings,
         unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
@@ -104,7 +96,6 @@ def _read_image(path: Path) -> Frames:
         if not opaque or np.any(image[..., 1:3] != image[..., :1]):
             raise FingerflowError(f"{path}: has real colour or transparency; convert it to grey first")
         image = np.ascontiguousarray(image[..., 0])
-    grey_dtype(image.dtype, path)
     return image
 
 

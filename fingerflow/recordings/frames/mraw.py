@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
 from fingerflow.recordings.guard.files import check_file
 
 HEADERS = (".cihx", ".cih")
@@ -71,13 +71,14 @@ def open_frames(path: Path) -> FileRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=layout.shape,
         dtype=layout.dtype,
         bit_depth=layout.bit_depth,
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
-        warnings=header.warnings + ((missing_frames(count - whole, count),) if whole < count else ()),
+        warnings=header.warnings,
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,

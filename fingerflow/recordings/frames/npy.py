@@ -8,13 +8,7 @@ from typing import Literal
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import (
-    Description,
-    FileRecording,
-    container_bits,
-    grey_dtype,
-    missing_frames,
-)
+from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
 from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
@@ -48,9 +42,8 @@ def open_frames(path: Path) -> FileRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=(height, width),
         dtype=dtype,
-        bit_depth=container_bits(dtype),
-        warnings=(missing_frames(count - whole, count),) if whole < count else (),
     )
     return FileRecording(description, frames)

@@ -28,16 +28,18 @@ Frames = NDArray[Any]
 class Description:
     """Content of a file's header, as a reader finds it before it reads any frame; see `Recording`.
 
-    `first_number`: number of the first frame, counted from the trigger, or 0 if the file states no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`: frames known to be
-    damaged, by number, and the reason.
+    `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
+    None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
+    states no trigger. `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`:
+    frames known to be damaged, by number, and the reason.
     """
 
     path: Path
     count: int
     frame_shape: tuple[int, int]
     dtype: np.dtype[Any]
-    bit_depth: int | None
+    bit_depth: int | None = None
+    stated_count: int = 0
     frame_rate: float | None = None
     first_number: float = 0.0
     time_stamps: NDArray[np.float64] | None = None
@@ -187,6 +189,14 @@ class FileRecording(Recording):
     ) -> None:
         super().__init__(description)
         self.dtype = description.dtype.newbyteorder("=")
+        if self.dtype.kind == "f":
+            self.bit_depth = None
+        elif self.bit_depth is None:
+            self.bit_depth = 8 * self.dtype.itemsize  # a guess from the values would change with them
+        missing = description.stated_count - description.count
+        if missing > 0:
+            cut = f"truncated: {missing} of {description.stated_count} frames are missing at the end of the file"
+            self.warnings = (cut, *self.warnings)
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
@@ -307,14 +317,6 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     )
 
 
-def container_bits(dtype: np.dtype[Any]) -> int | None:
-    """Return the bits of a data type, the bit depth if the file states none; None for float.
-
-    A guess from the values would change with them.
-    """
-    return None if dtype.kind == "f" else 8 * dtype.itemsize
-
-
 def lossy_codec(name: str) -> str:
     """Return the warning for pixels that a lossy codec has changed.
 
@@ -335,8 +337,3 @@ def lossy_codec(name: str) -> str:
         "shows. The deviation of positions is stated 2 to 10 times too small (H.264: 0.09 to 0.3 px off where 0.03 to "
         f"0.05 is stated), and those of displacement and of all that follows from it are NaN; {remedy}"
     )
-
-
-def missing_frames(missing: int, expected: int) -> str:
-    """Return the warning for a file that ends too early."""
-    return f"truncated: {missing} of {expected} frames are missing at the end of the file"

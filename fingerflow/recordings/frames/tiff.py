@@ -14,14 +14,7 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import (
-    DamagedFrame,
-    Description,
-    FileRecording,
-    Frames,
-    grey_dtype,
-    missing_frames,
-)
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype
 from fingerflow.recordings.guard.files import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
@@ -149,9 +142,7 @@ def _describe(
     warnings = []
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
-    if whole < count:
-        warnings.append(missing_frames(count - whole, count))
-    elif complaints:
+    if complaints and whole == count:
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         warnings.append("the file declares 0 as white: grey values are kept as stored, so larger ones are darker")
@@ -159,9 +150,10 @@ def _describe(
         Description(
             path=path,
             count=whole,
+            stated_count=count,
             frame_shape=(height, width),
             dtype=dtype,
-            bit_depth=None if dtype.kind == "f" else page.bitspersample,
+            bit_depth=page.bitspersample,
             frame_rate=_rate(imagej),
             lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
             unreadable=damaged,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import reading
 from fingerflow.schema.claimed_sizes import MOST_PIXELS
@@ -52,11 +52,11 @@ def open_frames(path: Path) -> VideoRecording:
         index = _index(path, container, stream)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
-    warnings = [missing_frames(promised - index.count, promised)] if promised > index.count else []
+    warnings = []
     # MKV states no number of frames, only their duration in ticks and the number of bytes.
     lasting = container_seconds * float(rate or 0)
     if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
-        warnings.append(missing_frames(round(lasting) - index.count, round(lasting)))
+        promised = round(lasting)
     elif not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
@@ -75,6 +75,7 @@ def open_frames(path: Path) -> VideoRecording:
     description = Description(
         path=path,
         count=index.count,
+        stated_count=promised,
         frame_shape=pixels.shape,
         dtype=pixels.dtype,
         bit_depth=pixels.bits,
