@@ -1,6 +1,7 @@
 """Calibration from frames of the registration target and the scale ring; no coordinate is set by hand."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,26 +43,24 @@ def calibrate(
             f"the view {missing[0]!r} is missing; views given: {', '.join(map(repr, views)) or 'none'}. A registration "
             f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
         )
-    for name, frame in (("target", target), ("background", background)):
-        if frame is not None and _grey(frame).shape != _grey(ring).shape:
+    given = {"ring": ring, "target": target, "background": background}
+    frames = {name: _grey(frame) for name, frame in given.items() if frame is not None}
+    for name, frame in frames.items():
+        if frame.shape != frames["ring"].shape:
             raise FingerflowError(
-                f"the frame of the ring has {_size(ring)} and that of the {name} {_size(frame)}; record all "
+                f"the frame of the ring has {_size(frames['ring'])} and that of the {name} {_size(frame)}; record all "
                 f"calibration frames with the same camera settings"
             )
 
-    def part(frame: ArrayLike, name: str) -> Array:
-        result: Array = views[name].crop(_grey(frame))
-        return result
+    def part(name: str, view: str) -> Any:
+        return views[view].crop(frames[name]) if name in frames else None
 
-    def empty(name: str) -> Array | None:
-        return None if background is None else part(background, name)
-
-    hole = find_hole(part(ring, "contact"), empty("contact"))
+    hole = find_hole(part("ring", "contact"), part("background", "contact"))
     scale = hole_radius_mm / hole.radius_px
     if target is None:
         return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None))
-    topography = find_discs(part(target, "topography"), empty("topography"), MOST_DISCS)
-    contact = find_discs(part(target, "contact"), empty("contact"), MOST_DISCS)
+    topography = find_discs(part("target", "topography"), part("background", "topography"), MOST_DISCS)
+    contact = find_discs(part("target", "contact"), part("background", "contact"), MOST_DISCS)
     if min(len(topography), len(contact)) < 3:
         raise FingerflowError(
             f"the registration target needs 3 discs in each view; found in the topography view: "
@@ -90,8 +89,8 @@ def _grey(frame: ArrayLike) -> Array:
     return levels
 
 
-def _size(frame: ArrayLike) -> str:
-    return "{} rows x {} columns".format(*np.shape(frame))
+def _size(frame: Array) -> str:
+    return f"{frame.shape[0]} rows x {frame.shape[1]} columns"
 
 
 def _listed(discs: list[Disc]) -> str:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-HERE = Path(__file__).resolve().parents[1]
 COUNT, HEIGHT, WIDTH = 6, 24, 32
 _RNG = np.random.default_rng(16)
 GREY8 = _RNG.integers(0, 256, (COUNT, HEIGHT, WIDTH)).astype(np.uint8)
@@ -225,8 +223,7 @@ def _scene(folder: Path) -> list[Sample]:
 
 def _bundle(folder: Path) -> list[Sample]:
     """A bundle with its scene, the picture of the empty glass and frames to play."""
-    sys.path.insert(0, str(HERE / "player"))
-    from tiny_bundle import frame, write_bundle, write_scene
+    from tests.player.tiny_bundle import frame, write_bundle, write_scene
 
     write_bundle(folder / "bundle")
     write_scene(folder / "bundle" / "scene.toml", '[recording]\nframes = "frames.npy"\nframe_rate = 300.0')
