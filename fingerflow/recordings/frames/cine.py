@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -94,28 +95,18 @@ def open_frames(path: Path) -> FileRecording:
         warnings=(*warnings, *complaints),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
     )
-    return FileRecording(description, _CineFrames(path, data, table[:whole], layout))
+    return FileRecording(description, partial(_frame, path, data, table[:whole], layout))
 
 
-class _CineFrames:
-    """Frames that are found by their offset in the bytes of the file, so that its size does not matter."""
-
-    def __init__(self, path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout) -> None:
-        self._path = path
-        self._bytes = data
-        self._offsets = offsets
-        self._layout = layout
-
-    def __getitem__(self, index: int) -> Frames:
-        # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
-        start = int(self._offsets[index])
-        start += _unsigned(self._bytes[start : start + 4])
-        image_bytes = _unsigned(self._bytes[start - 4 : start])
-        if image_bytes != self._layout.image_bytes:
-            raise FingerflowError(
-                f"{self._path}: frame {index} has {image_bytes} bytes instead of {self._layout.image_bytes}"
-            )
-        return self._layout.pixels(np.asarray(self._bytes[start : start + image_bytes]))
+def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
+    """Return one frame, found by its offset in the bytes of the file, so that the size of the file does not matter."""
+    # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
+    start = int(offsets[index])
+    start += _unsigned(data[start : start + 4])
+    image_bytes = _unsigned(data[start - 4 : start])
+    if image_bytes != layout.image_bytes:
+        raise FingerflowError(f"{path}: frame {index} has {image_bytes} bytes instead of {layout.image_bytes}")
+    return layout.pixels(np.asarray(data[start : start + image_bytes]))
 
 
 @dataclass(frozen=True)

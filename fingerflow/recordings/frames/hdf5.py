@@ -31,7 +31,7 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
         file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
         description, frames = _describe(path, file, dataset)
         opened.pop_all()
-    return FileRecording(description, frames, file.close)
+    return FileRecording(description, frames.__getitem__, file.close)
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -46,27 +47,20 @@ def open_frames(path: Path) -> FileRecording:
         unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
-    return FileRecording(description, _Images(files, description))
+    return FileRecording(description, partial(_image_at, files, description))
 
 
-class _Images:
-    """One file a frame; None in place of a file whose number is missing. All are as the first one, of `description`."""
-
-    def __init__(self, files: Sequence[Path | None], description: Description) -> None:
-        self.files = files
-        self._expected = description
-
-    def __getitem__(self, index: int) -> Frames:
-        file, expected = self.files[index], self._expected
-        assert file is not None, "a missing file is an unreadable frame"
-        image = _read_image(file)
-        if image.shape != expected.frame_shape or image.dtype != expected.dtype:
-            raise FingerflowError(
-                f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
-                f"{expected.metadata['first_file']}, is {expected.frame_shape[0]} x {expected.frame_shape[1]} "
-                f"{expected.dtype}"
-            )
-        return image
+def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
+    """Return one frame; raise FingerflowError for an image of another size or type than the first one."""
+    file = files[index]
+    assert file is not None, "a missing file is an unreadable frame"
+    image = _read_image(file)
+    if image.shape != first.frame_shape or image.dtype != first.dtype:
+        raise FingerflowError(
+            f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
+            f"{first.metadata['first_file']}, is {first.frame_shape[0]} x {first.frame_shape[1]} {first.dtype}"
+        )
+    return image
 
 
 def _read_image(path: Path) -> Frames:

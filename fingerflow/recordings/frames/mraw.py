@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -89,7 +90,7 @@ def open_frames(path: Path) -> FileRecording:
     )
     stored = np.memmap(pixels, np.uint8, "r", 0, (whole, layout.frame_bytes))
     if layout.stored_bits == 12 or layout.shift:
-        return FileRecording(description, _CodedFrames(stored, layout))
+        return FileRecording(description, partial(_decoded, stored, layout))
     frames = stored.view(layout.dtype.newbyteorder("<")).reshape(whole, *layout.shape)
     return FileRecording(description, frames)
 
@@ -107,19 +108,13 @@ class _MrawLayout:
     frame_bytes: int
 
 
-class _CodedFrames:
-    """Frames whose pixels are packed, or have to be shifted; `stored` are their bytes (N, frame_bytes)."""
-
-    def __init__(self, stored: NDArray[np.uint8], layout: _MrawLayout) -> None:
-        self._stored = stored
-        self._layout = layout
-
-    def __getitem__(self, index: int) -> Frames:
-        data, layout = np.asarray(self._stored[index]), self._layout
-        if layout.stored_bits == 12:
-            return unpack(data, 12, layout.shape)
-        pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
-        return pixels.reshape(layout.shape)
+def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
+    """Return one frame whose pixels are packed, or have to be shifted, from the bytes (N, frame_bytes) of all."""
+    data = np.asarray(stored[index])
+    if layout.stored_bits == 12:
+        return unpack(data, 12, layout.shape)
+    pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
+    return pixels.reshape(layout.shape)
 
 
 class _Header:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,17 +175,18 @@ class Recording(ABC):
         return index % count
 
 
-class FramesByIndex(Protocol):
-    """What reads frame `index` as (H, W), or raises why it cannot: a memory map, a data set, an object of a reader."""
-
-    def __getitem__(self, index: int) -> Any: ...
-
-
 class FileRecording(Recording):
-    """Recording of all frames of a file, read by `frames`; `close_file` closes it."""
+    """Recording of all frames of a file.
+
+    `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
+    cannot. `close_file` closes the file.
+    """
 
     def __init__(
-        self, description: Description, frames: FramesByIndex | None, close_file: Callable[[], None] = lambda: None
+        self,
+        description: Description,
+        frames: Frames | Callable[[int], Frames] | None,
+        close_file: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(description)
         self.dtype = description.dtype.newbyteorder("=")
@@ -225,9 +226,10 @@ class FileRecording(Recording):
         """Return frame `index` (H, W), or raise DamagedFrame; the only method in which pixels are read."""
         if self._frames is None:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        copied = np.array if isinstance(self._frames, np.ndarray) else np.asarray  # from a memory map; others are new
+        if isinstance(self._frames, np.ndarray):
+            return np.array(self._frames[index], self.dtype)
         try:
-            return copied(self._frames[index], self.dtype)
+            return np.asarray(self._frames(index), self.dtype)
         except FingerflowError:
             raise
         except Exception as error:  # codecs and filters raise any exception for a damaged frame

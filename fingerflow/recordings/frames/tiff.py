@@ -7,6 +7,7 @@ import math
 import struct
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,23 +39,17 @@ def open_frames(path: Path) -> FileRecording:
             if isinstance(frames, np.ndarray):
                 return FileRecording(description, frames)
             opened.pop_all()
-            return FileRecording(description, _Pages(frames, description.frame_shape), file.close)
+            return FileRecording(description, partial(_page, frames, description.frame_shape), file.close)
     finally:
         logger.removeFilter(complaints)
 
 
-class _Pages:
-    """Compressed or scattered frames, which are decoded one by one."""
-
-    def __init__(self, pages: Sequence[Any], shape: tuple[int, int]) -> None:
-        self._pages = pages
-        self._shape = shape
-
-    def __getitem__(self, index: int) -> Frames:
-        image = np.asarray(self._pages[index].asarray())
-        if image.size != self._shape[0] * self._shape[1]:
-            raise DamagedFrame(f"is {image.shape} and not {self._shape}")
-        return image.reshape(self._shape)
+def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
+    """Return one frame of those that are compressed or scattered."""
+    image = np.asarray(pages[index].asarray())
+    if image.size != shape[0] * shape[1]:
+        raise DamagedFrame(f"is {image.shape} and not {shape}")
+    return image.reshape(shape)
 
 
 class _Complaints(logging.Filter):
