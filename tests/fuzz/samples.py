@@ -197,7 +197,8 @@ def _calibration(folder: Path) -> list[Sample]:
     from fingerflow.schema.views import View
 
     disc = Disc((12.5, 13.0), (5.0, 5.0), 0.0, 0.1, 0.1, 1.0, 0.5, 20.0)
-    transform = Transform(np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]), np.full((3, 2), 0.1))
+    residuals = np.array([[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
+    transform = Transform(np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]), residuals)
     views = {"contact": View((0, 24), (32, 64)), "topography": View((0, 24), (0, 32))}
     text = Calibration(0.02, 2.75, disc, views, ((disc, disc),), transform, transform).to_toml()
     return [Sample({"calibration.toml": text.encode()}, "calibration.toml", "calibration.toml")]
