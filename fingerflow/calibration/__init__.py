@@ -1,13 +1,12 @@
 """Calibration of a rig from frames of a disc target and of a ring: scale and transform between the views."""
 
 from fingerflow.calibration.calibration import Calibration, is_calibration
-from fingerflow.calibration.discs import find_discs
+from fingerflow.calibration.discs import find_discs, find_hole
 from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.from_files import FILE, calibrate_files
 from fingerflow.calibration.from_frames import calibrate
 from fingerflow.calibration.overlay import draw_overlay
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
-from fingerflow.calibration.ring import find_hole
 
 __all__ = [
     "FILE",

@@ -1,4 +1,4 @@
-"""Detection of dark discs in a view, at any position and under uneven light."""
+"""Detection of dark discs in a view, and of the scale ring's hole, at any position and under uneven light."""
 
 import cv2
 import numpy as np
@@ -7,8 +7,10 @@ from numpy.typing import ArrayLike
 from fingerflow.calibration.edge import Array, Disc, fit_disc
 from fingerflow.errors import FingerflowError
 
-# Range of radii searched, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06.
+# Ranges of radii searched, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06, its ring
+# 0.156.
 DISC_RADII = (0.015, 0.15)
+HOLE_RADII = (0.05, 0.45)
 # One octave of rings in pixels; larger ones are the same rings on a reduced image.
 RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
 # Mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
@@ -30,10 +32,25 @@ def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count
     lamp is another one, and most of it is black. A round dark object that is also in the background belongs to the rig
     and is left out. Raises FingerflowError for an image that is not (H, W) or not finite.
     """
-    return find_dark_discs(view_image, background, DISC_RADII)[:count]
+    return _find_dark_discs(view_image, background, DISC_RADII)[:count]
 
 
-def find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
+def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Disc:
+    """Return the hole of a flat ring in a view (H, W): the most significant large dark disc.
+
+    Its `axis_ratio` shows how obliquely the ring is imaged; its `radius_px` is that of the circle of equal area.
+    Raises FingerflowError if there is none; for `background` and other errors see `find_discs`.
+    """
+    holes = _find_dark_discs(view_image, background, HOLE_RADII)
+    if not holes:
+        raise FingerflowError(
+            f"no hole of a ring was found: a dark disc on a brighter ring, all of it inside the view, its radius "
+            f"{HOLE_RADII[0]} to {HOLE_RADII[1]} of its shorter side. Check the frame and the pixel ranges of the view"
+        )
+    return holes[0]
+
+
+def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
     """Return all discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
     image = _checked(view_image, "the view")
     empty = None if background is None else _checked(background, "the background of the view")

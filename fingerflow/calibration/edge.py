@@ -65,7 +65,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
     """
     middle, inverse = np.asarray(center, dtype=np.float64), np.eye(2) / radius_px
     for band in SEARCH_BANDS:
-        unwrapped = _unwrap(image, middle, inverse, band)
+        unwrapped = _Unwrapped(image, middle, inverse, band)
         points, angles = unwrapped.edge_points()
         fitted = _fit_ellipse(points, middle, inverse)
         if fitted is None:
@@ -91,21 +91,32 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
     )
 
 
-@dataclass(frozen=True)
 class _Unwrapped:
-    """Grey levels (rays, radii) around an ellipse {p : |shape^-1 (p - middle)| = 1}.
+    """Grey levels (rays, radii) of an image around an ellipse {p : |inverse (p - middle)| = 1}.
 
-    `factors` are the radii as multiples of the ellipse's own.
+    `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
 
-    levels: Array
-    inside_image: NDArray[np.bool_]
-    angles: Array
-    factors: Array
-    sigma_rays: float
-    sigma_factors: float
-    middle: Array
-    shape: Array
+    def __init__(self, image: Array, middle: Array, inverse: Array, band: float) -> None:
+        self.middle = middle
+        self.shape = np.asarray(np.linalg.inv(inverse), dtype=np.float64)
+        radius = float(np.sqrt(np.linalg.det(self.shape)))
+        rays = int(np.clip(round(2 * np.pi * radius), 48, 720))
+        self.angles = 2 * np.pi * np.arange(rays) / rays
+        steps = 2 * max(6, round(2 * band * radius))  # half a pixel apart
+        self.factors = np.linspace(1 - band, 1 + band, steps + 1)
+        circle = np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1) @ self.shape
+        x = middle[0] + circle[:, :1] * self.factors
+        y = middle[1] + circle[:, 1:] * self.factors
+        height, width = image.shape
+        self.inside_image = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+        # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after 12.
+        left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
+        patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
+        self.levels: Array = map_coordinates(patch, [y - top, x - left], order=3, mode="nearest")
+        sigma_px = float(np.clip(0.06 * radius, 1.0, 3.0))
+        self.sigma_rays = sigma_px * rays / (2 * np.pi * radius)
+        self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
         """Return the steepest point of every ray (N, 2) and its angle (N,); rays without one are left out."""
@@ -139,33 +150,6 @@ class _Unwrapped:
         light = float(outside.mean())
         # A spread of 0.01 of the step is always added, so that a noise-free drawing is not infinitely significant.
         return step / light if light > 0 else 0.0, step / (np.hypot(spread, 0.01 * step) + 1e-300)
-
-
-def _unwrap(image: Array, middle: Array, inverse: Array, band: float) -> _Unwrapped:
-    shape = np.asarray(np.linalg.inv(inverse), dtype=np.float64)
-    radius = float(np.sqrt(np.linalg.det(shape)))
-    rays = int(np.clip(round(2 * np.pi * radius), 48, 720))
-    angles = 2 * np.pi * np.arange(rays) / rays
-    factors = np.linspace(1 - band, 1 + band, 2 * max(6, round(2 * band * radius)) + 1)  # half a pixel apart
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ shape
-    x = middle[0] + circle[:, :1] * factors
-    y = middle[1] + circle[:, 1:] * factors
-    height, width = image.shape
-    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after 12.
-    left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
-    patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
-    sigma_px = float(np.clip(0.06 * radius, 1.0, 3.0))
-    return _Unwrapped(
-        levels=map_coordinates(patch, [y - top, x - left], order=3, mode="nearest"),
-        inside_image=inside,
-        angles=angles,
-        factors=factors,
-        sigma_rays=sigma_px * rays / (2 * np.pi * radius),
-        sigma_factors=sigma_px / radius / float(factors[1] - factors[0]),
-        middle=middle,
-        shape=shape,
-    )
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:

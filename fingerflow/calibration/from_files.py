@@ -69,8 +69,6 @@ def calibrate_files(
 
 def _first_frame(path: Path) -> Array:
     with open_recording(path) as recording:
-        if not len(recording):
-            raise FingerflowError(f"{path} has no frame; one is needed")
         frame: Array = recording[0]
         if recording.unreadable:
             raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")

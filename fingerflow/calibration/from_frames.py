@@ -1,20 +1,20 @@
 """Calibration from frames of the registration target and the scale ring; no coordinate is set by hand."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fingerflow.calibration.calibration import Calibration
-from fingerflow.calibration.discs import find_discs
+from fingerflow.calibration.discs import find_discs, find_hole
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
-from fingerflow.calibration.ring import find_hole
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.views import View
 
-# Number of candidate discs beyond those of the target: the target's shape then rejects stains and dust.
-SPARE_DISCS = 6
+# Candidates a view, more than the target's three: its shape then rejects stains and dust.
+MOST_DISCS = 9
 # Limits for a warning. The lab's frames have 0.984, 0.10 px and 0.44 px.
 LEAST_HOLE_AXIS_RATIO = 0.97
 MOST_SIMILARITY_RMS_PX = 1.0
@@ -27,14 +27,12 @@ def calibrate(
     views: Mapping[str, View],
     hole_radius_mm: float = 2.75,
     background: ArrayLike | None = None,
-    disc_count: int = 3,
 ) -> Calibration:
     """Compute the calibration from a frame (H, W) of the registration target and one of the scale ring.
 
     `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
-    no target (None) and needs the ring alone. `background` is a frame without either. `disc_count` is the number of
-    discs on the target. Raises FingerflowError if a view, a disc or the hole is missing, the discs do not match, or
-    the frames differ in size.
+    no target (None) and needs the ring alone. `background` is a frame without either. Raises FingerflowError if a view,
+    a disc or the hole is missing, the discs do not match, or the frames differ in size.
     """
     if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):
         raise FingerflowError(f"the radius of the ring's hole is {hole_radius_mm} mm; it must be above 0")
@@ -45,34 +43,31 @@ def calibrate(
             f"the view {missing[0]!r} is missing; views given: {', '.join(map(repr, views)) or 'none'}. A registration "
             f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
         )
-    for name, frame in (("target", target), ("background", background)):
-        if frame is not None and _grey(frame).shape != _grey(ring).shape:
+    given = {"ring": ring, "target": target, "background": background}
+    frames = {name: _grey(frame) for name, frame in given.items() if frame is not None}
+    for name, frame in frames.items():
+        if frame.shape != frames["ring"].shape:
             raise FingerflowError(
-                f"the frame of the ring has {_size(ring)} and that of the {name} {_size(frame)}; record all "
+                f"the frame of the ring has {_size(frames['ring'])} and that of the {name} {_size(frame)}; record all "
                 f"calibration frames with the same camera settings"
             )
 
-    def part(frame: ArrayLike, name: str) -> Array:
-        result: Array = views[name].crop(_grey(frame))
-        return result
+    def part(name: str, view: str) -> Any:
+        return views[view].crop(frames[name]) if name in frames else None
 
-    def empty(name: str) -> Array | None:
-        return None if background is None else part(background, name)
-
-    hole = find_hole(part(ring, "contact"), empty("contact"))
+    hole = find_hole(part("ring", "contact"), part("background", "contact"))
     scale = hole_radius_mm / hole.radius_px
     if target is None:
         return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None))
-    most = disc_count + SPARE_DISCS
-    topography = find_discs(part(target, "topography"), empty("topography"), most)
-    contact = find_discs(part(target, "contact"), empty("contact"), most)
-    if min(len(topography), len(contact)) < disc_count:
+    topography = find_discs(part("target", "topography"), part("background", "topography"), MOST_DISCS)
+    contact = find_discs(part("target", "contact"), part("background", "contact"), MOST_DISCS)
+    if min(len(topography), len(contact)) < 3:
         raise FingerflowError(
-            f"the registration target needs {disc_count} discs in each view; found in the topography view: "
+            f"the registration target needs 3 discs in each view; found in the topography view: "
             f"{_listed(topography)}; in the contact view: {_listed(contact)}. Check the pixel ranges of the views, and "
             f"that all discs are inside both, lit and in focus"
         )
-    pairs = match_discs(topography, contact, disc_count)
+    pairs = match_discs(topography, contact)
     from_points, to_points = ([pair[side].center for pair in pairs] for side in (0, 1))
     similarity = fit_similarity(from_points, to_points)
     return Calibration(
@@ -94,8 +89,8 @@ def _grey(frame: ArrayLike) -> Array:
     return levels
 
 
-def _size(frame: ArrayLike) -> str:
-    return "{} rows x {} columns".format(*np.shape(frame))
+def _size(frame: Array) -> str:
+    return f"{frame.shape[0]} rows x {frame.shape[1]} columns"
 
 
 def _listed(discs: list[Disc]) -> str:

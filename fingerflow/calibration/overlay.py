@@ -120,14 +120,11 @@ def _draw_detail(axes: Axes, image: Array, disc: Disc, title: str) -> None:
     left, top = max(0, int(x - reach)), max(0, int(y - reach))
     part = image[top : int(y + reach) + 1, left : int(x + reach) + 1].astype(np.float64)
     low, high = np.percentile(part, (1, 99))
-    axes.imshow(part, cmap="gray", vmin=low, vmax=high, extent=_extent(left, top, part))
+    height, width = part.shape
+    extent = (left - 0.5, left + width - 0.5, top + height - 0.5, top - 0.5)
+    axes.imshow(part, cmap="gray", vmin=low, vmax=high, extent=extent)
     _draw_outline(axes, disc)
     axes.set_title(f"{title}: radius {disc.radius_px:.1f} px\nedge within {disc.edge_rms_px:.2f} px", fontsize=10)
-
-
-def _extent(left: int, top: int, part: Array) -> tuple[float, float, float, float]:
-    height, width = part.shape
-    return left - 0.5, left + width - 0.5, top + height - 0.5, top - 0.5
 
 
 def _draw_outline(axes: Axes, disc: Disc) -> None:

@@ -38,26 +38,20 @@ class Transform:
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 
-def match_discs(from_discs: list[Disc], to_discs: list[Disc], count: int = 3) -> list[tuple[Disc, Disc]]:
-    """Return the same `count` discs in two views as pairs: the largest first, then clockwise in the image (y down).
+def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc, Disc]]:
+    """Return the same three discs in two views as pairs: the largest first, then clockwise in the image (y down).
 
     The labels follow from the shape alone. Of all pairs of triangles, the pair is chosen that agrees best up to a
-    similarity, in the positions and sizes of the discs, weighted by their significance. Discs beyond three must
-    lie where the affine of these three maps them. Raises FingerflowError if there are fewer discs than `count`, all
-    lie on a line, one view is mirrored, no triangle agrees, or two labellings agree about equally well.
+    similarity, in the positions and sizes of the discs, weighted by their significance. Raises FingerflowError if there
+    are fewer than three discs, all lie on a line, one view is mirrored, no triangle agrees, or two labellings agree
+    about equally well.
     """
-    if count < 3:
-        raise FingerflowError(f"{count} discs were asked for; a transform between two views needs at least 3")
-    if min(len(from_discs), len(to_discs)) < count:
-        raise FingerflowError(
-            f"{len(from_discs)} discs in one view and {len(to_discs)} in the other; {count} in each are needed"
-        )
+    if min(len(from_discs), len(to_discs)) < 3:
+        raise FingerflowError(f"{len(from_discs)} discs in one view and {len(to_discs)} in the other; 3 are needed")
     from_triples = _triangles(from_discs, [list(triple) for triple in combinations(range(len(from_discs)), 3)])
     to_triples = _triangles(to_discs, [list(triple) for triple in permutations(range(len(to_discs)), 3)])
     from_triple, to_triple = _best_pair(from_discs, from_triples, to_discs, to_triples)
     pairs = [(from_discs[first], to_discs[second]) for first, second in zip(from_triple, to_triple, strict=True)]
-    if count > 3:
-        pairs = _with_further_discs(pairs, from_discs, to_discs, count)
     return _largest_first_then_clockwise(pairs)
 
 
@@ -183,29 +177,6 @@ def _best_pair(
 
 def _log_radii_and_weights(discs: list[Disc]) -> tuple[Array, Array]:
     return np.log([disc.radius_px for disc in discs]), np.log([disc.significance for disc in discs])
-
-
-def _with_further_discs(
-    triple: list[tuple[Disc, Disc]], from_discs: list[Disc], to_discs: list[Disc], count: int
-) -> list[tuple[Disc, Disc]]:
-    """Return the triple and the most significant discs within half a radius of where its affine maps them."""
-    matrix = fit_affine([pair[0].center for pair in triple], [pair[1].center for pair in triple]).matrix
-    scale = np.sqrt(abs(np.linalg.det(matrix[:, :2])))
-    further = []
-    for disc in from_discs:
-        place = matrix @ np.array([*disc.center, 1.0])
-        for other in to_discs:
-            near = np.hypot(*(place - other.center)) < 0.5 * other.radius_px
-            if near and abs(np.log(other.radius_px / disc.radius_px / scale)) < MOST_SIZE_ERROR:
-                further.append((disc, other))
-    further = [pair for pair in further if pair not in triple]
-    further.sort(key=lambda pair: -pair[0].significance * pair[1].significance)
-    if len(further) < count - 3:
-        raise FingerflowError(
-            f"{3 + len(further)} discs agree between the two views (one has discs at {_places(from_discs)}, the other "
-            f"at {_places(to_discs)} px); {count} were asked for"
-        )
-    return triple + further[: count - 3]
 
 
 def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[Disc, Disc]]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from drawn_discs import BLUR_PX, TARGET, Array, DrawnDisc, camera, draw, turned
+from numpy.typing import ArrayLike
 
 from fingerflow.calibration import Disc, find_discs, find_hole
 from fingerflow.errors import FingerflowError
@@ -13,6 +14,12 @@ def center_errors(found: list[Disc], drawn: tuple[DrawnDisc, ...]) -> Array:
     assert found, "no disc was found"
     centers = np.array([disc.center for disc in found])
     return np.array([np.hypot(*(centers - (disc.x, disc.y)).T).min() for disc in drawn])
+
+
+def check_found(image: ArrayLike, limit: float, drawn: tuple[DrawnDisc, ...] = TARGET) -> None:
+    found = find_discs(image, count=10)
+    assert len(found) == 3
+    assert center_errors(found, drawn).max() < limit
 
 
 def test_noise_free_discs_are_exact() -> None:
@@ -32,9 +39,7 @@ def test_noise_free_discs_are_exact() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_camera_noise_leaves_a_twentieth_of_a_pixel(seed: int) -> None:
-    found = find_discs(camera(draw(TARGET), noise=2, seed=seed), count=10)
-    assert len(found) == 3
-    assert center_errors(found, TARGET).max() < 0.05
+    check_found(camera(draw(TARGET), noise=2, seed=seed), 0.05)
 
 
 @pytest.mark.parametrize("contrast", [6, 10])
@@ -44,10 +49,8 @@ def test_low_contrast_stays_near_the_bound(contrast: int) -> None:
     Four times its root is allowed for the worst of six coordinates, in two directions and with an edge finder that is
     not optimal.
     """
-    found = find_discs(camera(draw(TARGET, bright=100, dark=100 - contrast), noise=2), count=10)
     information = contrast**2 * np.pi * 21 / (2 * np.sqrt(np.pi) * BLUR_PX) / (2**2 + 1 / 12)
-    assert len(found) == 3
-    assert center_errors(found, TARGET).max() < 4 / np.sqrt(information)
+    check_found(camera(draw(TARGET, bright=100, dark=100 - contrast), noise=2), 4 / np.sqrt(information))
 
 
 def test_center_sigma_is_the_scatter() -> None:
@@ -66,17 +69,13 @@ def test_uneven_light_costs_little() -> None:
     y, x = np.mgrid[:256, :272]
     light = (0.25 + 0.75 * x / 271) * (1 - 0.4 * ((y - 128) / 128) ** 2)
     for dark in (80, 108):
-        found = find_discs(camera(draw(TARGET, dark=dark) * light, noise=0.5), count=10)
-        assert len(found) == 3
-        assert center_errors(found, TARGET).max() < 0.2
+        check_found(camera(draw(TARGET, dark=dark) * light, noise=0.5), 0.2)
 
 
 @pytest.mark.parametrize("degrees", [37, 90, 143, 180, 261, 314])
 def test_a_turned_target_is_found(degrees: float) -> None:
     discs = turned(TARGET, degrees, (130.3, 119.6))
-    found = find_discs(camera(draw(discs), noise=2), count=10)
-    assert len(found) == 3
-    assert center_errors(found, discs).max() < 0.05
+    check_found(camera(draw(discs), noise=2), 0.05, discs)
 
 
 def test_clutter_is_no_disc() -> None:
@@ -127,14 +126,9 @@ def test_what_is_in_the_background_belongs_to_the_rig() -> None:
     assert center_errors(found, TARGET).max() < 0.05
 
 
-@pytest.mark.parametrize("level", [0, 1, 128, 255])
-def test_blank_views_have_no_disc(level: int) -> None:
-    assert find_discs(np.full((200, 240), level, np.uint8)) == []
-
-
-@pytest.mark.parametrize("noise", [0.3, 2, 20])
-def test_noise_has_no_disc(noise: float) -> None:
-    assert find_discs(camera(np.full((240, 320), 100.0), noise)) == []
+@pytest.mark.parametrize(("level", "noise"), [(0, 0), (1, 0), (128, 0), (255, 0), (100, 0.3), (100, 2), (100, 20)])
+def test_views_of_nothing_but_noise_have_no_disc(level: float, noise: float) -> None:
+    assert find_discs(camera(np.full((240, 320), float(level)), noise)) == []
 
 
 def test_a_ramp_and_a_single_pixel_have_no_disc() -> None:

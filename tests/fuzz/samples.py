@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-HERE = Path(__file__).resolve().parents[1]
 COUNT, HEIGHT, WIDTH = 6, 24, 32
 _RNG = np.random.default_rng(16)
 GREY8 = _RNG.integers(0, 256, (COUNT, HEIGHT, WIDTH)).astype(np.uint8)
@@ -84,8 +81,7 @@ def _hdf5(folder: Path) -> list[Sample]:
 
 
 def _cine(folder: Path) -> list[Sample]:
-    sys.path.insert(0, str(HERE / "recordings"))
-    from cine_writer import Cine, pack_bits
+    from tests.recordings.camera_files import Cine, pack_bits
 
     stamps = [number / 300 for number in range(COUNT)]
     codes = GREY16 >> 2
@@ -98,65 +94,33 @@ def _cine(folder: Path) -> list[Sample]:
     return [_one(cine.write(folder / f"{name}.cine")) for name, cine in kinds.items()]
 
 
-CIH = """#Camera Information Header
-Camera Type : FASTCAM SA-Z type 2100K-M-64GB
-Record Rate(fps) : 3000
-Shutter Type2(nsec) : 65060
-Total Frame : {count}
-Start Frame : -2
-Save Step : 10
-Image Width : {width}
-Image Height : {height}
-Color Type : Mono
-Color Bit : {bits}
-File Format : MRaw
-EffectiveBit Depth : 12
-EffectiveBit Side : Lower
-
-END
-"""
-CIHX = """\0\xffCIHX<cih><imageFileInfo><fileFormat>Mraw</fileFormat></imageFileInfo>
-<imageDataInfo><resolution><width>{width}</width><height>{height}</height></resolution>
-<colorInfo><type>Raw</type><bit>{bits}</bit></colorInfo>
-<effectiveBit><depth>12</depth><side>Lower</side></effectiveBit></imageDataInfo>
-<frameInfo><totalFrame>{count}</totalFrame><startFrame>52</startFrame><skipFrame>2</skipFrame></frameInfo>
-<recordInfo><recordRate>2000</recordRate><shutterSpeedNsec>20000</shutterSpeedNsec></recordInfo>
-<deviceInfo><deviceName>FASTCAM Nova S16 type 1100K-M-64GB</deviceName></deviceInfo></cih>\x01"""
-
-
 def _mraw(folder: Path) -> list[Sample]:
-    sys.path.insert(0, str(HERE / "recordings"))
-    from cine_writer import pack_bits
+    from tests.recordings.camera_files import pack_bits, write_photron
 
-    size = {"count": COUNT, "height": HEIGHT, "width": WIDTH}
     packed = b"".join(pack_bits(frame, 12) for frame in GREY16)
-    pairs = (
-        (".cih", CIH.format(bits=16, **size), GREY16.tobytes()),
-        (".cih", CIH.format(bits=12, **size), packed),
-        (".cihx", CIHX.format(bits=16, **size), GREY16.tobytes()),
-    )
     found = []
-    for suffix, header, pixels in pairs:
-        files = {f"a{suffix}": header.encode("latin-1"), "a.mraw": pixels}
-        found += [Sample(files, f"a{suffix}", "a.mraw"), Sample(files, f"a{suffix}", f"a{suffix}")]
-    return [*found, Sample(files, "a.mraw", "a.mraw")]
+    for suffix, bits, pixels in ((".cih", 16, GREY16.tobytes()), (".cih", 12, packed), (".cihx", 16, GREY16.tobytes())):
+        path = write_photron(folder, pixels, suffix, Color_Bit=bits, Image_Width=WIDTH, Image_Height=HEIGHT)
+        header = path.with_suffix(suffix)
+        files = {header.name: header.read_bytes(), path.name: pixels}
+        found += [Sample(files, header.name, path.name), Sample(files, header.name, header.name)]
+    return [*found, Sample(files, path.name, path.name)]
 
 
 def _video(folder: Path) -> list[Sample]:
-    import av
+    from tests.recordings.camera_files import write_video
 
-    kinds = (("a.avi", "rawvideo", "gray"), ("a.mkv", "ffv1", "gray"), ("b.avi", "ffv1", "gray16le"),
-             ("a.mp4", "libx264", "yuv420p"), ("a.mov", "png", "gray"), ("b.mkv", "libx264", "yuv420p"),
-             ("c.avi", "mjpeg", "yuvj420p"))  # fmt: skip
-    for name, codec, pixels in kinds:
-        with av.open(str(folder / name), "w") as container:
-            stream = container.add_stream(codec, rate=Fraction(300), options={"threads": "1"})
-            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixels
-            for number, values in enumerate(GREY8):
-                frame = av.VideoFrame.from_ndarray(values, "gray").reformat(format=pixels)
-                frame.pts, frame.time_base = number, Fraction(1, 300)
-                container.mux(stream.encode(frame))
-            container.mux(stream.encode(None))
+    for name, codec, pixels in (
+        ("a.avi", "rawvideo", "gray"),
+        ("a.mkv", "ffv1", "gray"),
+        ("b.avi", "ffv1", "gray16le"),
+        ("a.mp4", "libx264", "yuv420p"),
+        ("a.mov", "png", "gray"),
+        ("b.mkv", "libx264", "yuv420p"),
+        ("c.avi", "mjpeg", "yuvj420p"),
+    ):
+        frames = GREY16 if pixels == "gray16le" else GREY8
+        write_video(folder / name, frames, codec, pixels, threads="1")
     return [_one(path) for path in sorted(folder.iterdir())]
 
 
@@ -229,16 +193,14 @@ def _forces_tdms(folder: Path) -> list[Sample]:
 
 
 def _calibration(folder: Path) -> list[Sample]:
-    disc = "center = [12.5, 13.0]\nsemi_axes_px = [5.0, 5.0]\nangle = 0.0\ncenter_sigma_px = 0.1\nedge_rms_px = 0.1\n"
-    disc += "coverage = 1.0\ncontrast = 0.5\nsignificance = 20.0\n"
-    text = "mm_per_px = 0.02\nwarnings = []\n"
-    for view, columns in (("contact", "[32, 64]"), ("topography", "[0, 32]")):
-        text += f'[views."{view}"]\nrows = [0, 24]\ncolumns = {columns}\n'
-    text += f"[hole]\nradius_mm = 2.75\n{disc}"
-    for kind in ("affine", "similarity"):
-        text += f"[topography_to_contact.{kind}]\nrms_px = 0.1\nmatrix = [[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]\n"
-        text += "residuals_px = [[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]]\n"
-    text += f"[[discs]]\n[discs.topography]\n{disc}[discs.contact]\n{disc}"
+    from fingerflow.calibration import Calibration, Disc, Transform
+    from fingerflow.schema.views import View
+
+    disc = Disc((12.5, 13.0), (5.0, 5.0), 0.0, 0.1, 0.1, 1.0, 0.5, 20.0)
+    residuals = np.array([[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
+    transform = Transform(np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]), residuals)
+    views = {"contact": View((0, 24), (32, 64)), "topography": View((0, 24), (0, 32))}
+    text = Calibration(0.02, 2.75, disc, views, ((disc, disc),), transform, transform).to_toml()
     return [Sample({"calibration.toml": text.encode()}, "calibration.toml", "calibration.toml")]
 
 
@@ -262,8 +224,7 @@ def _scene(folder: Path) -> list[Sample]:
 
 def _bundle(folder: Path) -> list[Sample]:
     """A bundle with its scene, the picture of the empty glass and frames to play."""
-    sys.path.insert(0, str(HERE / "player"))
-    from tiny_bundle import frame, write_bundle, write_scene
+    from tests.player.tiny_bundle import frame, write_bundle, write_scene
 
     write_bundle(folder / "bundle")
     write_scene(folder / "bundle" / "scene.toml", '[recording]\nframes = "frames.npy"\nframe_rate = 300.0')

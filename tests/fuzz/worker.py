@@ -6,6 +6,7 @@ import io
 import json
 import logging
 import os
+import pkgutil
 import random
 import resource
 import shutil
@@ -17,7 +18,6 @@ import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 from tests.fuzz.damage import damage
 from tests.fuzz.samples import HEIGHT, WIDTH, Sample, samples
@@ -41,7 +41,7 @@ def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
             kept.mkdir()
             found[reader] = samples(reader, kept)
             for sample in found[reader]:  # which are right, and whose reading loads the libraries
-                _read_one(_READERS[reader], sample, folder / "whole", sample.files[sample.damaged])
+                _READERS[reader](write(sample, folder / "whole", sample.files[sample.damaged]))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries write of damaged files
         os.dup2(1, 2)
         _limit_memory()
@@ -80,40 +80,38 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _outcome(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
+def _outcome(read: Callable[[Path], object], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
     from fingerflow.errors import FingerflowError
 
     before = _most_resident()
     # Of the processor's time, by a signal that ends the process: loops in C are seen too, and a busy machine is not.
     signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
+    outcome, said = "read", ""
     try:
-        _read_one(read, sample, folder, data)
-        outcome = {"outcome": "read"}
-    except FingerflowError as error:
-        text = str(error)
-        causes = _chain(error)
-        if any(isinstance(cause, MemoryError) for cause in causes):
-            outcome = {"outcome": "memory", "said": text}
-        elif str(folder) not in text:
-            outcome = {"outcome": "unnamed", "said": text}
-        else:
-            outcome = {"outcome": "own error", "said": text}
+        read(write(sample, folder, data))
     except BaseException as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        own = [frame for frame in traceback.extract_tb(error.__traceback__) if "/fingerflow/" in frame.filename]
-        place = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
-        kind = "memory" if isinstance(error, MemoryError) else "traceback"
-        said = f"{type(error).__name__} at {place} (in {Path(last.filename).name}:{last.lineno}): {error}"[:300]
-        outcome = {"outcome": kind, "said": said}
+        if any(isinstance(cause, MemoryError) for cause in _chain(error)):
+            outcome, said = "memory", str(error)
+        elif isinstance(error, FingerflowError):
+            outcome, said = "own error" if str(folder) in str(error) else "unnamed", str(error)
+        else:
+            outcome, said = "traceback", f"{type(error).__name__} at {_place(error)}: {error}"[:300]
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     if _most_resident() - before > RESIDENT:
-        outcome = {"outcome": "memory", "said": f"{(_most_resident() - before) >> 20} MiB touched, then {outcome}"}
-    return outcome
+        outcome, said = "memory", f"{(_most_resident() - before) >> 20} MiB touched, then {outcome}"
+    return {"outcome": outcome, "said": said}
+
+
+def _place(error: BaseException) -> str:
+    """Return the last line of the package that an error came through, and the last of all."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "/fingerflow/" in frame.filename]
+    return ", ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in (*own[-1:], frames[-1]))
 
 
 def _chain(error: BaseException | None) -> list[BaseException]:
-    found = []
+    found: list[BaseException] = []
     while error is not None and error not in found:
         found.append(error)
         error = error.__cause__ or error.__context__
@@ -124,10 +122,6 @@ def _most_resident() -> int:
     """Bytes; getrusage would count those of the process that started this one."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024
-
-
-def _read_one(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> None:
-    read(write(sample, folder, data))
 
 
 def _frames(path: Path) -> None:
@@ -149,30 +143,6 @@ def _forces(path: Path) -> None:
     found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
 
 
-def _calibration(path: Path) -> None:
-    from fingerflow.calibration import Calibration
-
-    Calibration.from_toml(path)
-
-
-def _scene(path: Path) -> None:
-    from fingerflow.schema.scene import load_scene
-
-    load_scene(path)
-
-
-def _bundle(path: Path) -> None:
-    from fingerflow.player.bundle import load_bundle
-
-    load_bundle(path)
-
-
-def _result(path: Path) -> None:
-    from fingerflow.results.result import load_result
-
-    load_result(path)
-
-
 def play(bundle: Path) -> Path:
     """Plays a bundle's own scene as `fingerflow stream` does; the folder of results. Raises PlayerError where it says
     why not.
@@ -189,10 +159,6 @@ def play(bundle: Path) -> Path:
         if main([str(bundle), *options]):
             raise PlayerError(said.getvalue())
     return results
-
-
-def _stream(path: Path) -> None:
-    _streamed(play(path))
 
 
 def _streamed(path: Path) -> None:
@@ -212,15 +178,19 @@ def _played(path: Path) -> None:
     source.close()
 
 
-# What is imported in each is what it takes to read: a process reads files of one kind.
-_READERS: dict[str, Callable[[Path], None]] = {
+def _called(name: str) -> Callable[[Path], object]:
+    """Return a function that imports `name`, a module:function, and calls it: a process imports what one kind needs."""
+    return lambda path: pkgutil.resolve_name(name)(path)
+
+
+_READERS: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
     **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
-    "calibration": _calibration,
-    "scene": _scene,
-    "bundle": _bundle,
-    "result": _result,
-    "stream": _stream,
+    "calibration": _called("fingerflow.calibration:Calibration.from_toml"),
+    "scene": _called("fingerflow.schema.scene:load_scene"),
+    "bundle": _called("fingerflow.player.bundle:load_bundle"),
+    "result": _called("fingerflow.results.result:load_result"),
+    "stream": lambda path: _streamed(play(path)),
     "streamed": _streamed,
     "played": _played,
 }

@@ -18,7 +18,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.recordings import Recording, open_recording
-from fingerflow.recordings.frames.npy import NpyRecording
+from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
 from fingerflow.results.tables import export_table
@@ -169,10 +169,8 @@ def test_a_path_is_a_scene(press: Path, scene: Scene) -> None:
 
 
 def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fingerflow.recordings.frames.npy import NpyRecording
-
-    monkeypatch.setattr(NpyRecording, "_read_frame", None)
-    monkeypatch.setattr(NpyRecording, "mapped", None)
+    monkeypatch.setattr(FileRecording, "_read_frame", None)
+    monkeypatch.setattr(FileRecording, "mapped", None)
     forces = process(scene, ["normal_force"])
     made = {"load_ratio", "force_angle", "tangential_direction"}
     assert set(forces.data_vars) == {"normal_force", "tangential_force"} | made
@@ -254,9 +252,9 @@ def test_no_recording_is_closed_while_it_is_read(
 ) -> None:
     """Tracking fails while the next frames are on their way in another thread: a video decoder would crash."""
     ahead, readers, at_close = threading.Event(), set[int](), []
-    read, close = NpyRecording._read_frame, NpyRecording.close
+    read, close = FileRecording._read_frame, FileRecording.close
 
-    def slow_read(recording: NpyRecording, index: int) -> np.ndarray:
+    def slow_read(recording: FileRecording, index: int) -> np.ndarray:
         if threading.current_thread() is threading.main_thread():
             return read(recording, index)
         readers.add(index)
@@ -267,7 +265,7 @@ def test_no_recording_is_closed_while_it_is_read(
         readers.remove(index)
         return frame
 
-    def noted_close(recording: NpyRecording) -> None:
+    def noted_close(recording: FileRecording) -> None:
         if recording.path == scene.recording.frames:
             at_close.append(sorted(readers))
         close(recording)
@@ -277,8 +275,8 @@ def test_no_recording_is_closed_while_it_is_read(
         raise error("tracking")
 
     monkeypatch.setattr(Recording, "mapped", Recording.read)
-    monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
-    monkeypatch.setattr(NpyRecording, "close", noted_close)
+    monkeypatch.setattr(FileRecording, "_read_frame", slow_read)
+    monkeypatch.setattr(FileRecording, "close", noted_close)
     monkeypatch.setattr(TrackingStage, "step", fail)
     torch_threads(2)
     with pytest.raises(error, match="tracking"):

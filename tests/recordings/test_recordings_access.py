@@ -5,7 +5,7 @@ import pytest
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.recordings.frames.npy import NpyRecording
+from fingerflow.recordings.frames.recording import FileRecording
 
 FRAMES = np.random.default_rng(5).integers(0, 65536, (11, 4, 6)).astype(np.uint16)
 
@@ -20,13 +20,13 @@ def path(tmp_path):
 def reads(monkeypatch):
     """Numbers of the frames that were read, in order."""
     numbers: list[int] = []
-    original = NpyRecording._read_frame
+    original = FileRecording._decode
 
     def counted(self, index):
         numbers.append(index)
         return original(self, index)
 
-    monkeypatch.setattr(NpyRecording, "_read_frame", counted)
+    monkeypatch.setattr(FileRecording, "_decode", counted)
     return numbers
 
 

@@ -1,12 +1,15 @@
 """Phantom `.cine`: frames that the test packs itself, and real recordings."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
-from cine_writer import Cine, pack_bits
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings import open_recording
+from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
+from tests.recordings.camera_files import Cine, pack_bits
 
 
 def frames_of(bits: int, count: int = 5, shape: tuple[int, int] = (6, 10)) -> np.ndarray:
@@ -15,43 +18,44 @@ def frames_of(bits: int, count: int = 5, shape: tuple[int, int] = (6, 10)) -> np
     return frames.astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def plain(frame: np.ndarray) -> bytes:
-    return frame.astype("<u2" if frame.dtype == np.uint16 else np.uint8).tobytes()
+def cine(frames: np.ndarray, **fields: Any) -> Cine:
+    """Return an uncompressed recording of frames with the first row first, unless `fields` say otherwise."""
+    bits = 8 * frames.itemsize
+    pixels = [frame.astype(frame.dtype.newbyteorder("<")).tobytes() for frame in frames]
+    setup = {"RealBPP": 8 if bits == 8 else 12} | fields.pop("setup", {})
+    return Cine(**{"width": 10, "height": -6, "pixels": pixels, "bits": bits, "setup": setup} | fields)
+
+
+def opened(folder: Path, content: Cine, **options: Any) -> Recording:
+    return open_recording(content.write(folder / "a.cine"), **options)
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
-@pytest.mark.parametrize("height_sign", [1, -1])
-def test_uncompressed_frames_are_bitmaps_with_the_last_row_first_unless_the_height_is_negative(
-    tmp_path, bits, height_sign
-):
+@pytest.mark.parametrize("height", [6, -6])
+def test_uncompressed_frames_have_the_last_row_first_unless_the_height_is_negative(tmp_path, bits, height):
     frames = frames_of(bits)
-    in_file = frames[:, ::-1] if height_sign > 0 else frames
-    cine = Cine(
-        10, 6 * height_sign, [plain(frame) for frame in in_file], 8 if bits == 8 else 16, setup={"RealBPP": bits}
-    )
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
+    in_file = frames[:, ::-1] if height > 0 else frames
+    recording = opened(tmp_path, cine(in_file, height=height, setup={"RealBPP": bits}))
     np.testing.assert_array_equal(recording.read(), frames)
-    assert recording.dtype == frames.dtype
-    assert recording.bit_depth == bits
-    assert recording.warnings == ()
+    assert (recording.dtype, recording.bit_depth, recording.warnings) == (frames.dtype, bits, ())
 
 
-@pytest.mark.parametrize("height_sign", [1, -1])
-def test_packed_12_bit_frames_have_the_first_row_first(tmp_path, height_sign):
+@pytest.mark.parametrize("height", [6, -6])
+def test_packed_12_bit_frames_have_the_first_row_first(tmp_path, height):
     frames = frames_of(12)
-    cine = Cine(10, 6 * height_sign, [pack_bits(frame, 12) for frame in frames], packing=1024)
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
+    packed = [pack_bits(frame, 12) for frame in frames]
+    recording = opened(tmp_path, cine(frames, height=height, pixels=packed, packing=1024))
     np.testing.assert_array_equal(recording.read(), frames)
-    assert recording.bit_depth == 12
-    assert recording.dtype == np.uint16
+    assert (recording.dtype, recording.bit_depth) == (np.uint16, 12)
 
 
 @pytest.mark.parametrize("shape", [(6, 10), (3, 7)], ids=["whole bytes", "a last group of one value"])
 def test_packed_10_bit_frames_are_linearised_to_12_bits(tmp_path, shape):
     codes = frames_of(10, shape=shape)
-    cine = Cine(shape[1], shape[0], [pack_bits(frame, 10) for frame in codes], packing=256)
-    cine.setup = {"RealBPP": 10, "BlackLevel": 64, "WhiteLevel": 1014}
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
+    packed = [pack_bits(frame, 10) for frame in codes]
+    levels = {"RealBPP": 10, "BlackLevel": 64, "WhiteLevel": 1014}
+    content = cine(codes, width=shape[1], height=shape[0], pixels=packed, packing=256, setup=levels)
+    recording = opened(tmp_path, content)
     np.testing.assert_array_equal(recording.read(), LINEAR_OF_COMPANDED[codes])
     assert recording.bit_depth == 12
     # The levels are stated for the codes; after linearisation they are 64 and 4064 of 4095.
@@ -73,111 +77,79 @@ def test_the_companding_table_is_the_curve_of_bt_709():
 
 def test_rows_filled_up_to_four_bytes(tmp_path):
     frames = frames_of(8, shape=(4, 6))
-    padded = np.pad(frames, ((0, 0), (0, 0), (0, 2)), constant_values=99)[:, ::-1]
-    cine = Cine(6, 4, [frame.tobytes() for frame in padded], 8, setup={"RealBPP": 8})
-    np.testing.assert_array_equal(open_recording(cine.write(tmp_path / "a.cine")).read(), frames)
+    padded = np.pad(frames, ((0, 0), (0, 0), (0, 2)), constant_values=99)
+    np.testing.assert_array_equal(opened(tmp_path, cine(padded, width=6, height=-4)).read(), frames)
 
 
 def test_annotations_of_any_size_stand_before_the_pixels(tmp_path):
     frames = frames_of(12)
-    cine = Cine(10, -6, [plain(frame) for frame in frames], annotation=b"a note of 21 letters.")
-    np.testing.assert_array_equal(open_recording(cine.write(tmp_path / "a.cine")).read(), frames)
+    recording = opened(tmp_path, cine(frames, annotation=b"a note of 21 letters."))
+    np.testing.assert_array_equal(recording.read(), frames)
 
 
-def test_time_stamps_give_the_times_and_the_trigger_is_zero(tmp_path):
-    frames = frames_of(8)
-    stamps = [-0.0071, -0.0031, 0.0009, 0.0049, 0.0089]
-    cine = Cine(10, 6, [plain(frame) for frame in frames], 8, stamps=stamps, setup={"FrameRate": 250, "RealBPP": 8})
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
-    np.testing.assert_allclose(recording.times, stamps, atol=2**-30)  # the resolution of the stamps without their flags
-    assert recording.frame_rate == 250
-    assert recording.warnings == ()
-    assert recording.metadata["exposure_s"] == pytest.approx(0.001)
+EVEN = (np.arange(5) - 2) / 300
+
+
+@pytest.mark.parametrize(
+    ("stamps", "stated", "rate", "times", "said"),
+    [
+        ([-0.0071, -0.0031, 0.0009, 0.0049, 0.0089], 250, 250, [-0.0071, -0.0031, 0.0009, 0.0049, 0.0089], []),
+        (None, 300, 300, EVEN, []),  # the number of the first frame counts from the trigger
+        (EVEN, 3000, 300, EVEN, ["3000 Hz", "300 Hz"]),  # every tenth frame was saved
+        (EVEN - 9e5, 300, 300, EVEN, ["reset"]),
+        ([0.0] * 5, 300, 300, EVEN, ["do not increase"]),
+        (
+            [-0.02, -0.01, 0, 0.04, 0.05],
+            100,
+            100,
+            [-0.02, -0.01, 0, 0.04, 0.05],
+            ["the first of 3 frames after frame 2"],
+        ),
+    ],
+    ids=["stamps", "no stamps", "left out on saving", "reset clock", "no increase", "gap"],
+)
+def test_times_are_those_of_the_stamps_from_the_trigger(tmp_path, stamps, stated, rate, times, said):
+    recording = opened(tmp_path, cine(frames_of(8), stamps=stamps, setup={"FrameRate": stated}))
+    np.testing.assert_allclose(recording.times, times, atol=1e-9 if "reset" not in said else 1e-6)  # a stamp: 2^-30 s
+    assert recording.frame_rate == pytest.approx(rate, rel=1e-6)
+    assert len(recording.warnings) == bool(said)
+    assert all(word in recording.warnings[0] for word in said)
     assert recording.metadata["serial"] == 4711
-
-
-def test_without_stamps_the_frame_number_counts_from_the_trigger(tmp_path):
-    cine = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, setup={"RealBPP": 8}, first_number=-2)
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
-    np.testing.assert_allclose(recording.times, np.arange(-2, 3) / 300, rtol=1e-14)
+    assert stamps is None or recording.metadata["exposure_s"] == pytest.approx(0.001)
 
 
 def test_a_given_frame_rate_replaces_the_stamps_and_keeps_the_trigger_in_place(tmp_path):
-    stamps = list((np.arange(5) - 2) / 300)
-    cine = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, stamps=stamps, setup={"RealBPP": 8})
-    recording = open_recording(cine.write(tmp_path / "a.cine"), frame_rate=1000)
+    recording = opened(tmp_path, cine(frames_of(8), stamps=list(EVEN)), frame_rate=1000)
     assert recording.frame_rate == 1000
     np.testing.assert_allclose(recording.times, (np.arange(5) - 2) / 1000, atol=1e-9)
 
 
-def test_stamps_decide_when_frames_were_left_out_on_saving(tmp_path):
-    stamps = list((np.arange(5) - 2) / 300)  # every tenth of 3000 frames a second
-    cine = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, stamps=stamps)
-    cine.setup = {"FrameRate": 3000, "RealBPP": 8}
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
-    assert recording.frame_rate == pytest.approx(300, rel=1e-6)
-    assert any("3000 Hz" in sentence and "300 Hz" in sentence for sentence in recording.warnings)
-
-
-def test_gaps_and_reset_clocks_are_named(tmp_path):
-    gap = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, stamps=[-0.01, 0.0, 0.01, 0.05, 0.06])
-    gap.setup, gap.first_number = {"FrameRate": 100, "RealBPP": 8}, -1
-    recording = open_recording(gap.write(tmp_path / "gap.cine"))
-    assert "the first of 3 frames after frame 2" in recording.warnings[0]
-    assert recording.frame_rate == 100
-    reset = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, stamps=list(np.arange(5) / 300 - 9e5))
-    reset.setup = {"RealBPP": 8}
-    recording = open_recording(reset.write(tmp_path / "reset.cine"))
-    np.testing.assert_allclose(recording.times, np.arange(-2, 3) / 300, atol=1e-6)
-    assert "reset" in recording.warnings[0]
-
-
-def test_stamps_that_do_not_increase_are_not_used(tmp_path):
-    cine = Cine(10, 6, [plain(frame) for frame in frames_of(8)], 8, stamps=[0.0] * 5, setup={"RealBPP": 8})
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
-    np.testing.assert_allclose(recording.times, np.arange(-2, 3) / 300)
-    assert "do not increase" in recording.warnings[0]
-
-
 def test_precise_rate_of_newer_cameras_and_short_setup_of_older_ones(tmp_path):
-    pixels = [plain(frame) for frame in frames_of(12)]
-    new = Cine(10, 6, pixels, setup={"dFrameRate": 299.97, "CameraModel": b"Phantom T1340"})
-    recording = open_recording(new.write(tmp_path / "new.cine"))
-    assert recording.frame_rate == 299.97
-    assert recording.metadata["camera"] == "Phantom T1340"
-    old = open_recording(Cine(10, 6, pixels, setup_length=5692).write(tmp_path / "old.cine"))
+    new = opened(tmp_path, cine(frames_of(12), setup={"dFrameRate": 299.97, "CameraModel": b"Phantom T1340"}))
+    assert (new.frame_rate, new.metadata["camera"]) == (299.97, "Phantom T1340")
+    old = opened(tmp_path, cine(frames_of(12), setup_length=5692))
     assert old.frame_rate == 300
     assert "black_level" not in old.metadata
 
 
-@pytest.mark.parametrize("lost", [1, 120, 121, 130, 350])
-def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost):
-    frames = frames_of(12)  # 120 bytes each, and 8 before each
-    whole = Cine(10, -6, [plain(frame) for frame in frames]).bytes()
+@pytest.mark.parametrize(
+    ("lost", "annotation", "left"), [(1, 0, 4), (120, 0, 4), (121, 0, 4), (130, 0, 3), (350, 0, 2), (200, 100, 4)]
+)
+def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotation, left):
+    frames = frames_of(12)  # 120 bytes each, and 8 before each, or more with an annotation
+    whole = cine(frames, annotation=bytes(annotation)).bytes()
     (tmp_path / "cut.cine").write_bytes(whole[:-lost])
     recording = open_recording(tmp_path / "cut.cine")
-    left = 5 - -(-lost // 128)
-    assert len(recording) == left
     np.testing.assert_array_equal(recording.read(), frames[:left])
     assert recording.warnings[0].startswith(f"truncated: {5 - left} of 5 frames are missing")
-    assert len(recording.times) == left
+    assert len(recording) == len(recording.times) == left
 
 
-def test_truncated_within_a_long_annotation(tmp_path):
-    frames = frames_of(12)
-    whole = Cine(10, -6, [plain(frame) for frame in frames], annotation=bytes(100)).bytes()
-    (tmp_path / "cut.cine").write_bytes(whole[:-200])
-    recording = open_recording(tmp_path / "cut.cine")
-    assert len(recording) == 4
-    np.testing.assert_array_equal(recording.read(), frames[:4])
-
-
-def test_damage_beyond_use_is_refused(tmp_path):
-    whole = Cine(10, 6, [plain(frame) for frame in frames_of(12)]).bytes()
-    for length in (0, 10, 60, 5000, 13570, 13600, 13700):
-        (tmp_path / "cut.cine").write_bytes(whole[:length])
-        with pytest.raises(FingerflowError, match=r"cut\.cine"):
-            open_recording(tmp_path / "cut.cine")
+@pytest.mark.parametrize("length", [0, 10, 60, 5000, 13570, 13600, 13700])
+def test_damage_beyond_use_is_refused(tmp_path, length):
+    (tmp_path / "cut.cine").write_bytes(cine(frames_of(12)).bytes()[:length])
+    with pytest.raises(FingerflowError, match=r"cut\.cine"):
+        open_recording(tmp_path / "cut.cine")
 
 
 @pytest.mark.parametrize(
@@ -192,17 +164,13 @@ def test_damage_beyond_use_is_refused(tmp_path):
     ],
 )
 def test_what_is_not_grey_or_not_known_is_refused_by_name(tmp_path, change, named):
-    cine = Cine(10, 6, [plain(frame) for frame in frames_of(12)])
-    for name, value in change.items():
-        setattr(cine, name, value)
     with pytest.raises(FingerflowError, match=named):
-        open_recording(cine.write(tmp_path / "a.cine"))
+        opened(tmp_path, cine(frames_of(12), **change))
 
 
 def test_flips_meant_for_players_are_named_and_not_applied(tmp_path):
     frames = frames_of(12)
-    cine = Cine(10, -6, [plain(frame) for frame in frames], setup={"bFlipV": 1})
-    recording = open_recording(cine.write(tmp_path / "a.cine"))
+    recording = opened(tmp_path, cine(frames, setup={"bFlipV": 1}))
     np.testing.assert_array_equal(recording.read(), frames)
     assert "bFlipV" in recording.warnings[0]
 

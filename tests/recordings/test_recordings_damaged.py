@@ -2,8 +2,6 @@
 
 import os
 import struct
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
@@ -13,13 +11,12 @@ import numpy as np
 import pytest
 import tifffile
 from test_recordings_mraw import FRAMES as MRAW_FRAMES
-from test_recordings_mraw import write_pair
-from test_recordings_video import COUNT, frames_of, write
+from test_recordings_mraw import stored
+from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
-from fingerflow.recordings.frames import video
-from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
+from tests.recordings.camera_files import write_photron, write_video
 
 RNG = np.random.default_rng(23)
 GREY = RNG.integers(1, 256, (6, 20, 30)).astype(np.uint8)
@@ -28,20 +25,15 @@ GREY16 = RNG.integers(1, 4096, (6, 20, 30)).astype(np.uint16)
 # What is no file
 
 
-@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.npy", "a.mraw", "a.cine", "a.mkv", "a.png", "a.csv", "a.mat"])
+@pytest.mark.parametrize(
+    "name", ["a.tif", "a.h5", "a.npy", "a.mraw", "a.cine", "a.mkv", "a.png", "a.csv", "a.mat", "take 1.cih"]
+)
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
+    write_photron(tmp_path, stored(MRAW_FRAMES), ".other")
     os.mkfifo(tmp_path / name)
     opens = open_forces if name in ("a.csv", "a.mat") else open_recording
     with pytest.raises(FingerflowError, match=rf"{name}: is a pipe, not a file; copy"):
-        opens(tmp_path / name)
-
-
-def test_a_pipe_beside_a_recording_is_not_waited_for(tmp_path):
-    path = write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
-    (tmp_path / "take 1.cih").unlink()
-    os.mkfifo(tmp_path / "take 1.cih")
-    with pytest.raises(FingerflowError, match=r"take 1\.cih: is a pipe"):
-        open_recording(path)
+        opens(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
 
 
 def test_a_device_is_refused():
@@ -84,17 +76,15 @@ def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path, step):
     assert dict(recording[[0, 4]].unreadable) == {}
 
 
-@pytest.mark.parametrize("numbers", [[1, 2, 3, 100], [0, 10, 20, 35]])
+@pytest.mark.parametrize("numbers", [[1, 2, 3, 100], [0, 10, 20, 35], range(1, 7), range(0, 60, 10)])
 def test_numbers_that_tell_no_time_are_said(tmp_path, numbers):
     recording = open_recording(numbered(tmp_path, numbers))
     np.testing.assert_array_equal(recording.read()[:, 0, 0], numbers)
-    assert "read as consecutive" in recording.warnings[0]
-
-
-@pytest.mark.parametrize("numbers", [range(1, 7), range(0, 60, 10)])
-def test_even_numbers_are_no_matter(tmp_path, numbers):
-    recording = open_recording(numbered(tmp_path, numbers))
-    assert (len(recording), recording.warnings, dict(recording.unreadable)) == (6, (), {})
+    assert not recording.unreadable
+    if isinstance(numbers, range):  # even ones are no matter
+        assert recording.warnings == ()
+    else:
+        assert "read as consecutive" in recording.warnings[0]
 
 
 def test_equal_numbers_are_refused(tmp_path):
@@ -126,35 +116,10 @@ def huge_png(path: Path, side: int) -> Path:
     return path
 
 
-# Of the process itself: the peak that getrusage gives includes that of the process that started it, and so what other
-# tests have taken.
-MEASURE = """
-import sys
-from pathlib import Path
-from fingerflow.recordings import open_recording
-from fingerflow.errors import FingerflowError
-import numpy, cv2
-
-def peak():
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
-
-before = peak()
-try:
-    open_recording(sys.argv[1])
-except FingerflowError as error:
-    print(error)
-print((peak() - before) // 1024)
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux tells the peak of a process by itself")
-def test_a_picture_that_claims_gigabytes_takes_none(tmp_path):
-    path = huge_png(tmp_path / "a.png", 60_000)
-    run = subprocess.run([sys.executable, "-c", MEASURE, str(path)], capture_output=True, text=True, check=True)
-    said, grown = run.stdout.splitlines()
-    assert "a.png: its header says 60000 x 60000 pixels, which a file of" in said
-    assert int(grown) < 50  # MiB, of which importing the reader is a part; the picture would be 3433
+def test_a_picture_that_claims_gigabytes_is_refused_before_it_is_decoded(tmp_path, monkeypatch):
+    monkeypatch.setattr(cv2, "imdecode", None)
+    with pytest.raises(FingerflowError, match=r"a\.png: its header says 60000 x 60000 pixels, which a file of"):
+        open_recording(huge_png(tmp_path / "a.png", 60_000))
 
 
 # HDF5
@@ -204,7 +169,7 @@ def test_a_damaged_chunk_is_its_frames(tmp_path):
     recording = open_recording(tmp_path / "a.h5")
     frames = recording.read()
     assert list(recording.unreadable) == [3]
-    assert recording.unreadable[3].startswith("cannot be unpacked (")
+    assert recording.unreadable[3].startswith("cannot be decoded (")
     np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
 
 
@@ -250,11 +215,7 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
 # TIFF
 
 
-def test_equal_pages_written_one_by_one_are_frames(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
-        for frame in GREY16:
-            writer.write(frame, photometric="minisblack", contiguous=False)  # each a series of its own
-    np.testing.assert_array_equal(open_recording(tmp_path / "a.tif").read(), GREY16)
+def test_pages_that_were_appended_are_frames(tmp_path):
     for frame in GREY16:
         tifffile.imwrite(tmp_path / "b.tif", frame, append=True)
     np.testing.assert_array_equal(open_recording(tmp_path / "b.tif")[::-1].read(), GREY16[::-1])
@@ -298,7 +259,7 @@ def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
 
 
 def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
-    path = write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())
+    path = write_photron(tmp_path, stored(MRAW_FRAMES))
     header = tmp_path / "take 1.cih"
     whole = header.read_bytes()
     for cut, said in (
@@ -314,13 +275,7 @@ def test_a_header_cut_before_its_depth_changes_no_scale(tmp_path):
     recording = open_recording(path)
     assert recording.bit_depth == 12
     assert "no line END" in recording.warnings[0]
-    assert open_recording(write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes())).warnings == ()
-
-
-def test_photron_numbers_that_cannot_be(tmp_path):
-    for changes in ({"Total_Frame": "nan"}, {"Image_Width": "1e300"}, {"Image_Width": 8.5}, {"Save_Step": -1}):
-        with pytest.raises(FingerflowError, match=r"correct the header|cannot be"):
-            open_recording(write_pair(tmp_path, MRAW_FRAMES.astype("<u2").tobytes(), **changes))
+    assert open_recording(write_photron(tmp_path, stored(MRAW_FRAMES))).warnings == ()
 
 
 # Videos
@@ -335,7 +290,7 @@ def flipped(path: Path, place: int) -> Path:
 
 def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
     frames = frames_of(8)
-    path = write(tmp_path / "a.mkv", frames, "ffv1", "gray", g="1")
+    path = write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", g="1")
     size = path.stat().st_size
     rng = np.random.default_rng(4)
     clean = path.read_bytes()
@@ -349,25 +304,9 @@ def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
     assert recording.lossy is None
 
 
-def test_a_checksum_of_ffv1(tmp_path):
-    import av
-
-    path = write(tmp_path / "a.mkv", frames_of(8)[:3], "ffv1", "gray")
-    with av.open(str(path)) as container:
-        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
-    assert len(packets) == 3
-    for packet in packets:
-        assert slices_are_whole(packet)
-        for place in (0, len(packet) // 2, len(packet) - 1):
-            broken = bytearray(packet)
-            broken[place] ^= 1
-            assert not slices_are_whole(bytes(broken))
-    assert not slices_are_whole(b"")
-
-
 def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_path):
     frames = frames_of(8)
-    path = write(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
+    path = write_video(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
     clean = open_recording(path).read()
     whole = path.read_bytes()
     rng, flagged, silent = np.random.default_rng(8), 0, 0
@@ -401,7 +340,7 @@ def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_pa
     ],
 )
 def test_lossy_codecs_are_named(tmp_path, name, codec, pixels, options, lossy):
-    recording = open_recording(write(tmp_path / name, frames_of(8)[:12], codec, pixels, **options))
+    recording = open_recording(write_video(tmp_path / name, frames_of(8)[:12], codec, pixels, **options))
     assert recording.lossy == lossy == recording[2:5].lossy
     assert sum("is a lossy codec" in sentence for sentence in recording.warnings) == (lossy is not None)
 
@@ -418,9 +357,8 @@ def test_jpeg_is_lossy(tmp_path):
 @pytest.mark.parametrize("rate", [300, 1000])
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.97, 0.999])
 def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
-    path = write(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
+    path = write_video(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
     assert open_recording(path).warnings == ()
-    assert video.unfinished(path) == ""
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     assert any(sentence.startswith("truncated") for sentence in open_recording(path).warnings)

@@ -8,75 +8,126 @@ import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
+from tests.recordings.camera_files import pack_bits
 
 RNG = np.random.default_rng(11)
 GREY8 = RNG.integers(0, 256, (7, 20, 30)).astype(np.uint8)
 GREY16 = RNG.integers(0, 65536, (7, 20, 30)).astype(np.uint16)
 FLOAT = RNG.normal(size=(7, 20, 30)).astype(np.float32)
-KINDS = [pytest.param(GREY8, 8, id="8"), pytest.param(GREY16, 16, id="16"), pytest.param(FLOAT, None, id="float")]
+GREY = {"photometric": "minisblack"}
+PAGES = GREY | {"metadata": None, "contiguous": False}
 
 
-# NumPy
+def write(path, frames, attributes=(), **options):
+    """Write frames in the format of the suffix: `attributes` of HDF5, `options` of its library; TIFF page by page if
+    they are not contiguous.
+    """
+    if path.suffix == ".npy":
+        np.save(path, frames, **options)
+    elif path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("trial/frames", data=frames, **options).attrs.update(dict(attributes))
+            file["trial/force"] = np.zeros(100)
+    else:
+        with tifffile.TiffWriter(path, bigtiff=options.pop("bigtiff", False), byteorder=options.pop("byteorder", None),
+                                 imagej=options.pop("imagej", False)) as file:  # fmt: skip
+            for part in (frames,) if options.get("contiguous", True) else frames:
+                file.write(part, **options)
+    return path
 
 
-@pytest.mark.parametrize(("frames", "bits"), KINDS)
-def test_npy(tmp_path, frames, bits):
-    for number, version in enumerate(
-        (frames, np.asfortranarray(frames), frames.astype(frames.dtype.newbyteorder(">")))
-    ):
-        np.save(tmp_path / f"{number}.npy", version)
-        recording = open_recording(tmp_path / f"{number}.npy")
+@pytest.mark.parametrize(("frames", "bits"), [(GREY8, 8), (GREY16, 16), (FLOAT, None)], ids=["8", "16", "float"])
+@pytest.mark.parametrize(
+    ("name", "stored", "options"),
+    [
+        ("a.npy", np.ascontiguousarray, {}),
+        ("a.npy", np.asfortranarray, {}),
+        ("a.npy", lambda frames: frames.astype(frames.dtype.newbyteorder(">")), {}),
+        ("a.h5", np.asarray, {"chunks": (3, 20, 30), "compression": "gzip"}),
+        ("a.tif", np.asarray, GREY),
+        ("a.tif", np.asarray, GREY | {"imagej": True, "metadata": {"axes": "TYX"}}),
+        ("a.tif", np.asarray, GREY | {"bigtiff": True}),
+        ("a.tif", np.asarray, GREY | {"compression": "zlib"}),
+        ("a.tif", np.asarray, GREY | {"byteorder": ">"}),
+        ("a.tif", np.asarray, GREY | {"rowsperstrip": 7}),
+        ("a.tif", np.asarray, GREY | {"tile": (16, 16)}),
+        ("a.tiff", np.asarray, PAGES),
+        ("a.tif", np.asarray, GREY | {"contiguous": False}),  # each page a series of its own
+    ],
+)
+def test_frames_are_those_in_the_file(tmp_path, name, stored, options, frames, bits):
+    with open_recording(write(tmp_path / name, stored(frames), **options)) as recording:
         np.testing.assert_array_equal(recording.read(), frames)
-        assert (recording.dtype, recording.bit_depth) == (frames.dtype, bits)
+        np.testing.assert_array_equal(recording.mapped(), frames)
+        np.testing.assert_array_equal(recording[[5, 0]].read(), frames[[5, 0]])
+        assert (recording.dtype, recording.bit_depth, recording.frame_rate) == (frames.dtype, bits, None)
         assert recording[0].dtype.isnative
+        assert recording.warnings == ()
 
 
-def test_npy_of_one_frame(tmp_path):
-    for number, frame in enumerate((GREY16[0], np.asfortranarray(GREY16[0]))):
-        np.save(tmp_path / f"{number}.npy", frame)
-        np.testing.assert_array_equal(open_recording(tmp_path / f"{number}.npy").read(), GREY16[:1])
-
-
-def test_npy_truncated(tmp_path):
-    np.save(tmp_path / "a.npy", GREY16)
-    data = (tmp_path / "a.npy").read_bytes()
-    (tmp_path / "a.npy").write_bytes(data[: -2 * 20 * 30 - 1])
-    recording = open_recording(tmp_path / "a.npy")
-    np.testing.assert_array_equal(recording.read(), GREY16[:5])
-    assert recording.warnings == ("truncated: 2 of 7 frames are missing at the end of the file",)
-    (tmp_path / "a.npy").write_bytes(data[:200])
-    with pytest.raises(FingerflowError, match="too few"):
-        open_recording(tmp_path / "a.npy")
+@pytest.mark.parametrize("name", ["a.npy", "a.tif"])
+@pytest.mark.parametrize("stored", [np.ascontiguousarray, np.asfortranarray])
+def test_one_frame(tmp_path, name, stored):
+    np.testing.assert_array_equal(open_recording(write(tmp_path / name, stored(GREY16[0]))).read(), GREY16[:1])
 
 
 @pytest.mark.parametrize(
-    ("array", "named"),
+    ("name", "options"), [("a.npy", {}), ("a.tif", GREY), ("a.tif", GREY | {"imagej": True, "byteorder": "<"})]
+)
+def test_a_truncated_file_has_its_whole_frames(tmp_path, name, options):
+    data = write(tmp_path / name, GREY16, **options).read_bytes()
+    start = data.index(GREY16[0].astype("<u2").tobytes())
+    (tmp_path / name).write_bytes(data[: start + 1200 * 4 + 7])
+    recording = open_recording(tmp_path / name)
+    np.testing.assert_array_equal(recording.read(), GREY16[:4])
+    assert recording.warnings[0].startswith("truncated")
+    assert name != "a.npy" or recording.warnings[0] == "truncated: 3 of 7 frames are missing at the end of the file"
+
+
+def test_tiff_truncated_between_scattered_pages(tmp_path):
+    data = write(tmp_path / "a.tif", GREY16, **PAGES, compression="zlib").read_bytes()
+    (tmp_path / "a.tif").write_bytes(data[: int(len(data) * 0.6)])
+    recording = open_recording(tmp_path / "a.tif")
+    assert 1 <= len(recording) < 6
+    np.testing.assert_array_equal(recording.read(), GREY16[: len(recording)])
+    assert recording.warnings[0].startswith("truncated")
+
+
+@pytest.mark.parametrize(("name", "kept", "named"), [("a.npy", 0.05, "too few"), ("a.h5", 0.5, "damaged")])
+def test_a_file_truncated_beyond_use_is_refused(tmp_path, name, kept, named):
+    data = write(tmp_path / name, GREY16).read_bytes()
+    (tmp_path / name).write_bytes(data[: int(kept * len(data))])
+    with pytest.raises(FingerflowError, match=named):
+        open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "options", "named"),
     [
-        (np.zeros((2, 3, 4, 3), np.uint8), "Colour"),
-        (np.zeros(5, np.uint8), r"\(5,\)"),
-        (np.zeros((2, 3, 4), np.int16), "int16"),
-        (np.zeros((2, 3, 4), bool), "bool"),
-        (np.zeros((0, 3, 4), np.uint8), "0, 3, 4"),
-        (np.array([{}, None], object), "object"),
+        ("a.npy", np.zeros((2, 3, 4, 3), np.uint8), {}, "Colour"),
+        ("a.npy", np.zeros(5, np.uint8), {}, r"\(5,\)"),
+        ("a.npy", np.zeros((2, 3, 4), np.int16), {}, "int16"),
+        ("a.npy", np.zeros((2, 3, 4), bool), {}, "bool"),
+        ("a.npy", np.zeros((0, 3, 4), np.uint8), {}, "0, 3, 4"),
+        ("a.npy", np.array([{}, None], object), {"allow_pickle": True}, "object"),
+        ("a.h5", np.zeros(9), {}, r"/trial/frames \(9,\)"),
+        ("a.h5", np.zeros((2, 4, 4, 3), np.uint8), {}, "Colour"),
+        ("a.h5", np.zeros((2, 4, 4), np.int32), {}, "int32"),
+        ("a.h5", GREY8, {"attributes": {"frame_rate": -1.0}}, "frame_rate is -1"),
+        ("a.h5", GREY8, {"attributes": {"bit_depth": 12}}, "bit_depth is 12"),
+        ("a.h5", GREY8, {"attributes": {"bit_depth": "many"}}, "bit_depth of /trial/frames .*should be one number"),
+        ("a.tif", np.zeros((5, 8, 9, 3), np.uint8), {"photometric": "rgb"}, "colour"),
+        ("a.tif", np.zeros((5, 8, 9), np.int16), GREY, "int16"),
+        ("a.tif", np.zeros((3, 5, 8, 9), np.uint8), {"imagej": True, "metadata": {"axes": "TZYX"}}, "axes"),
+        ("a.tif", [np.zeros((8, 9), np.uint8), np.zeros((8, 10), np.uint8)], {"contiguous": False}, "differ"),
     ],
 )
-def test_npy_refused(tmp_path, array, named):
-    np.save(tmp_path / "a.npy", array, allow_pickle=True)
+def test_what_is_no_stack_of_grey_frames_is_refused(tmp_path, name, array, options, named):
     with pytest.raises(FingerflowError, match=named):
-        open_recording(tmp_path / "a.npy")
+        open_recording(write(tmp_path / name, array, **options))
 
 
 # HDF5
-
-
-@pytest.mark.parametrize(("frames", "bits"), KINDS)
-def test_hdf5(tmp_path, frames, bits):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("trial/frames", data=frames, chunks=(3, 20, 30), compression="gzip")
-        file["trial/force"] = np.zeros(100)
-    with open_recording(tmp_path / "a.h5") as recording:
-        np.testing.assert_array_equal(recording[::-1].read(), frames[::-1])
-        assert (recording.dtype, recording.bit_depth, recording.frame_rate) == (frames.dtype, bits, None)
 
 
 @pytest.mark.parametrize("holder", ["/", "/trial", "/trial/frames"])
@@ -103,64 +154,7 @@ def test_hdf5_with_a_choice(tmp_path):
         open_recording(f"{tmp_path / 'a.h5'}::/top")
 
 
-@pytest.mark.parametrize(
-    ("data", "attributes", "named"),
-    [
-        (np.zeros(9), {}, r"/x \(9,\)"),
-        (np.zeros((2, 4, 4, 3), np.uint8), {}, "Colour"),
-        (np.zeros((2, 4, 4), np.int32), {}, "int32"),
-        (GREY8, {"frame_rate": -1.0}, "frame_rate is -1"),
-        (GREY8, {"bit_depth": 12}, "bit_depth is 12"),
-    ],
-)
-def test_hdf5_refused(tmp_path, data, attributes, named):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["x"] = data
-        file["x"].attrs.update(attributes)
-    with pytest.raises(FingerflowError, match=named):
-        open_recording(tmp_path / "a.h5")
-
-
-def test_hdf5_truncated(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["x"] = GREY16
-    data = (tmp_path / "a.h5").read_bytes()
-    (tmp_path / "a.h5").write_bytes(data[: len(data) // 2])
-    with pytest.raises(FingerflowError, match="damaged"):
-        open_recording(tmp_path / "a.h5")
-
-
 # TIFF
-
-
-@pytest.mark.parametrize(("frames", "bits"), KINDS)
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"imagej": True, "metadata": {"axes": "TYX"}}, {"bigtiff": True}, {"compression": "zlib"}, {"byteorder": ">"},
-     {"rowsperstrip": 7}, {"tile": (16, 16)}],
-    ids=str,
-)  # fmt: skip
-def test_tiff(tmp_path, frames, bits, options):
-    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack", **options)
-    with open_recording(tmp_path / "a.tif") as recording:
-        np.testing.assert_array_equal(recording.read(), frames)
-        np.testing.assert_array_equal(recording.mapped(), frames)
-        np.testing.assert_array_equal(recording[[5, 0]].read(), frames[[5, 0]])
-        assert (recording.dtype, recording.bit_depth, recording.frame_rate) == (frames.dtype, bits, None)
-        assert recording[0].dtype.isnative
-        assert recording.warnings == ()
-
-
-def test_tiff_written_page_by_page(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "a.tiff") as writer:
-        for frame in GREY16:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False)
-    np.testing.assert_array_equal(open_recording(tmp_path / "a.tiff")[::-2].read(), GREY16[::-2])
-
-
-def test_tiff_of_one_page(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", GREY8[0])
-    np.testing.assert_array_equal(open_recording(tmp_path / "a.tif").read(), GREY8[:1])
 
 
 @pytest.mark.parametrize(("unit", "seconds"), [("sec", 1), ("ms", 1e-3)])
@@ -175,71 +169,21 @@ def test_tiff_interval_of_imagej(tmp_path, unit, seconds):
 def test_tiff_bit_depth_is_the_tag(tmp_path):
     frames = GREY16[0, :, :] >> 4
     # 12 bits a sample, packed by rows: written by hand, since the library writes whole bytes only.
-    rows = b"".join(_pack12(row) for row in frames)
+    rows = b"".join(pack_bits(row, 12) for row in frames)
     (tmp_path / "a.tif").write_bytes(_baseline_tiff(30, 20, 12, rows))
     recording = open_recording(tmp_path / "a.tif")
     assert recording.bit_depth == 12
     np.testing.assert_array_equal(recording[0], frames)
 
 
-@pytest.mark.parametrize("imagej", [True, False])
-def test_tiff_truncated(tmp_path, imagej):
-    tifffile.imwrite(tmp_path / "a.tif", GREY16, photometric="minisblack", imagej=imagej, byteorder="<")
-    data = (tmp_path / "a.tif").read_bytes()
-    at = data.index(GREY16[0].astype("<u2").tobytes())
-    (tmp_path / "a.tif").write_bytes(data[: at + 1200 * 4 + 7])
-    recording = open_recording(tmp_path / "a.tif")
-    np.testing.assert_array_equal(recording.read(), GREY16[:4])
-    assert recording.warnings[0].startswith("truncated")
-
-
-def test_tiff_truncated_between_scattered_pages(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
-        for frame in GREY16:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
-    data = (tmp_path / "a.tif").read_bytes()
-    (tmp_path / "a.tif").write_bytes(data[: int(len(data) * 0.6)])
-    recording = open_recording(tmp_path / "a.tif")
-    assert 1 <= len(recording) < 6
-    np.testing.assert_array_equal(recording.read(), GREY16[: len(recording)])
-    assert recording.warnings[0].startswith("truncated")
-
-
-def test_tiff_refused(tmp_path):
-    cases = {
-        "colour": (np.zeros((5, 8, 9, 3), np.uint8), {"photometric": "rgb"}),
-        "int16": (np.zeros((5, 8, 9), np.int16), {"photometric": "minisblack"}),
-        "axes": (np.zeros((3, 5, 8, 9), np.uint8), {"imagej": True, "metadata": {"axes": "TZYX"}}),
-    }
-    for named, (array, options) in cases.items():
-        tifffile.imwrite(tmp_path / "a.tif", array, **options)
-        with pytest.raises(FingerflowError, match=named):
-            open_recording(tmp_path / "a.tif")
-    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
-        writer.write(np.zeros((8, 9), np.uint8))
-        writer.write(np.zeros((8, 10), np.uint8))
-    with pytest.raises(FingerflowError, match="differ"):
-        open_recording(tmp_path / "a.tif")
-
-
-def test_tiff_whose_frames_are_called_channels(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", GREY8, imagej=True, metadata={"axes": "CYX"})
-    recording = open_recording(tmp_path / "a.tif")
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"imagej": True, "metadata": {"axes": "CYX"}}, "channels"), ({"photometric": "miniswhite"}, "white")],
+)
+def test_tiff_read_otherwise_than_declared_is_said(tmp_path, options, said):
+    recording = open_recording(write(tmp_path / "a.tif", GREY8, **options))
     np.testing.assert_array_equal(recording.read(), GREY8)
-    assert "channels" in recording.warnings[0]
-
-
-def test_tiff_with_white_at_zero_is_kept_and_named(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", GREY8, photometric="miniswhite")
-    recording = open_recording(tmp_path / "a.tif")
-    np.testing.assert_array_equal(recording.read(), GREY8)
-    assert "white" in recording.warnings[0]
-
-
-def _pack12(row: np.ndarray) -> bytes:
-    first, second = row[0::2].astype(int), row[1::2].astype(int)
-    triples = np.stack([first >> 4, (first & 15) << 4 | second >> 8, second & 255], 1)
-    return triples.astype(np.uint8).tobytes()
+    assert said in recording.warnings[0]
 
 
 def _baseline_tiff(width: int, height: int, bits: int, data: bytes) -> bytes:
@@ -268,10 +212,9 @@ def test_folder_in_natural_order(tmp_path, suffix, frames):
 
 def test_natural_order_of_names_that_mix_words_and_numbers(tmp_path):
     names = ["a.png", "a1b2.png", "a1b10.png", "a02.png", "a10.png", "b.png", "10.png", "9.png"]
-    for name in names:
-        cv2.imwrite(str(tmp_path / name), GREY8[0])
-    recording = open_recording(tmp_path)
-    order = [file.name for file in recording._files]
+    for number, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / name), np.full((4, 5), number, np.uint8))
+    order = [names[number] for number in open_recording(tmp_path).read()[:, 0, 0]]
     for before, after in (
         ("a1b2.png", "a1b10.png"),
         ("a02.png", "a10.png"),

@@ -1,4 +1,7 @@
-"""Reading forces: every kind of file is written by the test; time, channels, units and what is refused."""
+"""Reading forces: every kind of file is written by the test; time, channels, units and what is refused.
+
+Text also as programs write it: LabVIEW measurement files, notes before the table, no heading at all.
+"""
 
 import sys
 
@@ -22,9 +25,9 @@ def text(tmp_path, content, name="forces.csv", encoding="utf-8"):
     return tmp_path / name
 
 
-def rows(separator=",", decimal=".", scale=1.0, end=""):
+def rows(separator=",", decimal=".", scale=1.0, end="", columns=(NORMAL, TANGENTIAL, TRIGGER)):
     lines = []
-    for values in zip(TIMES * scale, NORMAL, TANGENTIAL, TRIGGER, strict=True):
+    for values in zip(TIMES * scale, *columns, strict=True):
         lines.append(separator.join(f"{value:.9g}".replace(".", decimal) for value in values) + end)
     return "\n".join(lines) + "\n"
 
@@ -37,21 +40,25 @@ def check(forces, normal="normal", tangential="tangential", factor=1.0):
     assert all(values.dtype == np.float64 for values in forces.channels.values())
 
 
+HEADING = "time (s),normal (N),tangential [N],trigger (V)\n"
 CSV = {
-    "comma": "time (s),normal (N),tangential [N],trigger (V)\n" + rows(),
-    "semicolon and decimal comma": "time (s);normal (N);tangential [N];trigger (V)\n" + rows(";", ","),
-    "tab": "time (s)\tnormal (N)\ttangential [N]\ttrigger (V)\n" + rows("\t"),
-    "tab and decimal comma": "time (s)\tnormal (N)\ttangential [N]\ttrigger (V)\n" + rows("\t", ","),
+    "comma": HEADING + rows(),
+    "semicolon and decimal comma": HEADING.replace(",", ";") + rows(";", ","),
+    "tab": HEADING.replace(",", "\t") + rows("\t"),
+    "tab and decimal comma": HEADING.replace(",", "\t") + rows("\t", ","),
     "blanks": "time (s) normal (N)  tangential[N] trigger (V)\n" + rows(" "),
-    "comments and blank lines": "# taken 2 May\n\n% second\ntime (s),normal (N),tangential [N],trigger (V)\n" + rows(),
-    "comments between the samples": "time (s),normal (N),tangential [N],trigger (V)\n"
-    + rows().replace("\n", "\n\n   \n# paused\n", 3)
-    + "// the end\n",
+    "comments and blank lines": "# taken 2 May\n\n% second\n" + HEADING + rows(),
+    "comments between the samples": HEADING + rows().replace("\n", "\n\n   \n# paused\n", 3) + "// the end\n",
     "milliseconds": "Time [ms],normal (N),tangential [N],trigger (V)\n" + rows(scale=1000),
     "line of units": "t;normal;tangential;trigger\ns;N;N;V\n" + rows(";"),
     "quotes": '"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),
-    "separator at the end": "time (s),normal (N),tangential [N],trigger (V),\n" + rows(end=","),
-    "carriage returns": ("time (s),normal (N),tangential [N],trigger (V)\n" + rows()).replace("\n", "\r\n"),
+    "separator at the end": HEADING.replace("\n", ",\n") + rows(end=","),
+    "carriage returns": (HEADING + rows()).replace("\n", "\r\n"),
+    "notes": "Force plate 3\nOperator: M. Curie\nDate: 2 May, 2021\n\n" + HEADING + rows(),
+    "notes in quotes": '"made by"\n"a program"\n"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),
+    "notes as wide as the table": "Rate\t1000\tHz\tof 4\nName\tpress\t3\t-\n" + HEADING.replace(",", "\t") + rows("\t"),
+    "notes, heading and units": "Export of DAQ 2.1\nx\n2021-05-02\ntime;normal;tangential;trigger\n[s];[N];[N];[V]\n"
+    + rows(";", ","),
 }
 
 
@@ -64,7 +71,9 @@ def test_delimited_text(tmp_path, kind):
     assert forces.trigger_time is None
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("mN", 1e-3), ("kN", 1e3), ("µN", 1e-6), ("uN", 1e-6)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("mN", 1e-3), ("kN", 1e3), ("µN", 1e-6), ("uN", 1e-6), ("gf", 9.80665e-3), ("kgf", 9.80665)]
+)
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
 def test_forces_become_newtons(tmp_path, unit, factor, encoding):
     content = f"time (s),normal ({unit}),tangential [N],trigger (mV)\n" + rows()
@@ -89,12 +98,47 @@ def test_channels_are_chosen_and_renamed(tmp_path):
     assert list(forces.channels) == ["N", "T", "trigger"]
     assert forces.trigger == "trigger"
     assert open_forces(path, channels={"sync": "trigger"}, trigger="trigger").trigger == "sync"
+    check(open_forces(path, {"N": 2, "T": 3}), "N", "T")
 
 
-def test_without_a_heading_columns_have_numbers(tmp_path):
-    path = text(tmp_path, rows())
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", "."), (" ", "."), ("  ", ",")]
+)
+def test_without_a_heading_columns_have_numbers(tmp_path, separator, decimal):
+    path = text(tmp_path, rows(separator, decimal))
+    check(open_forces(path, {"normal": 2, "tangential": 3}, units={2: "N", 3: "N"}, time=1))
+    with pytest.raises(FingerflowError, match=r"has no column 5; it has 4, numbered from 1: 'column_1', "):
+        open_forces(path, {"normal": 5}, units={5: "N"}, time=1)
     units = {"column_2": "N", "column_3": "N"}
     check(open_forces(path, ["column_2", "column_3"], units, time="column_1"), "column_2", "column_3")
+
+
+def lvm(x_columns, table, decimal="."):
+    """What Write To Measurement File of LabVIEW 2020 writes."""
+    return (
+        f"LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\n"
+        f"Decimal_Separator\t{decimal}\n"
+        f"Multi_Headings\tNo\nX_Columns\t{x_columns}\nTime_Pref\tAbsolute\nOperator\tlab\nDate\t2021/05/02\n"
+        "Time\t10:30:00,5\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t50\t50\t\nDate\t2021/05/02\t2021/05/02\t\n"
+        f"X_Dimension\tTime\tTime\t\nX0\t0{decimal}0\t0{decimal}0\t\nDelta_X\t0{decimal}001\t0{decimal}001\t\n"
+        f"***End_of_Header***\t\t\t\nX_Value\tnormal\ttangential\tComment\n{table}"
+    )
+
+
+@pytest.mark.parametrize(("times", "decimal"), [("One", "."), ("One", ","), ("No", ".")])
+def test_labview(tmp_path, times, decimal):
+    table = rows("\t", decimal, columns=(NORMAL, TANGENTIAL))
+    if times == "No":
+        table = "".join("\t" + line.partition("\t")[2] + "\n" for line in table.splitlines())
+    path = text(tmp_path, lvm(times, table, decimal).replace("\n", "\r\n"), "press.lvm", "latin-1")
+    check(open_forces(path, units={"normal": "N", "tangential": "N"}))
+
+
+def test_labview_of_several_segments_is_refused(tmp_path):
+    table = rows("\t", columns=(NORMAL, TANGENTIAL))
+    path = text(tmp_path, lvm("One", table + "Channels\t2\n***End_of_Header***\t\n" + table), "two.lvm")
+    with pytest.raises(FingerflowError, match=r"two\.lvm: is a LabVIEW file of 2 segments.*write one a file"):
+        open_forces(path)
 
 
 def test_a_sample_rate_replaces_times_of_too_few_digits(tmp_path):

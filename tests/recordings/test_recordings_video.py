@@ -1,8 +1,5 @@
 """Videos that the test encodes: every frame exactly, in any order, in bounded memory."""
 
-from fractions import Fraction
-from pathlib import Path
-
 import av
 import numpy as np
 import pytest
@@ -10,6 +7,7 @@ import pytest
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames import video
+from tests.recordings.camera_files import write_video
 
 HEIGHT, WIDTH, COUNT = 48, 80, 60
 
@@ -20,32 +18,6 @@ def frames_of(bits: int) -> np.ndarray:
     top = 2**bits - 1
     frames = [top * (0.2 + 0.6 * n / COUNT + 0.1 * np.sin((x + 2 * n) / 7) * np.cos(y / 5)) for n in range(COUNT)]
     return np.array(frames).astype(np.uint8 if bits == 8 else np.uint16)
-
-
-def write(path: Path, frames: np.ndarray, codec: str, pixel_format: str, rate: int = 300, **options: str) -> Path:
-    """Luma planes are filled directly, so that nothing is converted on the way into the encoder."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=Fraction(rate), options=options)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixel_format
-        for number, values in enumerate(frames):
-            frame = av.VideoFrame(WIDTH, HEIGHT, pixel_format)
-            for plane_number, plane in enumerate(frame.planes):
-                buffer = np.frombuffer(plane, values.dtype).reshape(plane.height, -1).copy()
-                if pixel_format in ("bgr24", "rgb24"):
-                    buffer[:, : 3 * WIDTH] = (
-                        np.repeat(values, 3, axis=1) if values.ndim == 2 else values.reshape(HEIGHT, -1)
-                    )
-                elif plane_number == 0:
-                    buffer[:, :WIDTH] = values
-                else:
-                    buffer[:] = 128 << (8 * values.itemsize - 8 if values.itemsize == 1 else 2)
-                plane.update(buffer.tobytes())
-            frame.pts, frame.time_base = number, Fraction(1, rate)
-            for packet in stream.encode(frame):
-                container.mux(packet)
-        for packet in stream.encode(None):
-            container.mux(packet)
-    return path
 
 
 LOSSLESS = [
@@ -64,7 +36,7 @@ LOSSLESS = [
 @pytest.mark.parametrize(("name", "codec", "pixel_format", "bits"), LOSSLESS)
 def test_lossless_formats_come_back_bit_for_bit(tmp_path, name, codec, pixel_format, bits):
     frames = frames_of(bits)
-    recording = open_recording(write(tmp_path / name, frames, codec, pixel_format))
+    recording = open_recording(write_video(tmp_path / name, frames, codec, pixel_format))
     assert (len(recording), recording.frame_shape) == (COUNT, (HEIGHT, WIDTH))
     assert (recording.dtype, recording.bit_depth) == (frames.dtype, bits)
     np.testing.assert_array_equal(recording.read(), frames)
@@ -88,7 +60,7 @@ INTER_CODED = [
 @pytest.mark.parametrize(("name", "codec", "options"), INTER_CODED, ids=lambda value: str(value))
 def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, codec, options):
     frames = frames_of(8)
-    path = write(tmp_path / name, frames, codec, "yuv420p", **options)
+    path = write_video(tmp_path / name, frames, codec, "yuv420p", **options)
     with av.open(str(path)) as container:  # the reference: one pass from the start, nothing else
         straight = [
             np.frombuffer(f.planes[0], np.uint8).reshape(HEIGHT, -1)[:, :WIDTH].copy()
@@ -106,7 +78,7 @@ def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, co
 
 
 def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path, monkeypatch):
-    path = write(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p", bf="0", g="20", sc_threshold="0")
+    path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p", bf="0", g="20", sc_threshold="0")
     decoded = []
     original = video._Pixels.of
     monkeypatch.setattr(
@@ -128,13 +100,13 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
 def test_high_rates_in_a_container_that_counts_milliseconds(tmp_path):
     # At 2000 frames a second MKV gives every second frame the time stamp of the one before.
     frames = frames_of(8)
-    recording = open_recording(write(tmp_path / "a.mkv", frames, "ffv1", "gray", rate=2000))
+    recording = open_recording(write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", rate=2000))
     order = [40, 3, 4, 59, 0]
     np.testing.assert_array_equal(recording[order].read(), frames[order])
 
 
 def test_a_given_rate_replaces_the_rate_of_playback(tmp_path):
-    path = write(tmp_path / "a.avi", frames_of(8), "rawvideo", "gray", rate=25)
+    path = write_video(tmp_path / "a.avi", frames_of(8), "rawvideo", "gray", rate=25)
     recording = open_recording(path, frame_rate=1000)
     assert recording.frame_rate == 1000
     np.testing.assert_allclose(recording.times, np.arange(COUNT) / 1000)
@@ -143,7 +115,7 @@ def test_a_given_rate_replaces_the_rate_of_playback(tmp_path):
 @pytest.mark.parametrize(("name", "codec"), [("a.avi", "rawvideo"), ("a.mkv", "ffv1")])
 def test_truncated(tmp_path, name, codec):
     frames = frames_of(8)
-    path = write(tmp_path / name, frames, codec, "gray")
+    path = write_video(tmp_path / name, frames, codec, "gray")
     data = path.read_bytes()
     path.write_bytes(data[: int(0.7 * len(data))])
     recording = open_recording(path)
@@ -155,7 +127,7 @@ def test_truncated(tmp_path, name, codec):
 
 
 def test_mp4_without_its_index_is_refused(tmp_path):
-    path = write(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
+    path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:-2000])
     with pytest.raises(FingerflowError, match="damaged"):
         open_recording(path)
@@ -164,14 +136,14 @@ def test_mp4_without_its_index_is_refused(tmp_path):
 def test_a_frame_with_real_colour_is_refused_by_its_number(tmp_path):
     frames = np.repeat(frames_of(8)[..., None], 3, -1)
     frames[5, 10, 10, 0] ^= 8
-    recording = open_recording(write(tmp_path / "a.avi", frames, "rawvideo", "bgr24"))
+    recording = open_recording(write_video(tmp_path / "a.avi", frames, "rawvideo", "bgr24"))
     np.testing.assert_array_equal(recording[:5].read(), frames[:5, ..., 0])
     with pytest.raises(FingerflowError, match="frame 5 has real colour"):
         recording[5]
 
 
 def test_unknown_pixel_format_is_named(tmp_path):
-    path = write(tmp_path / "a.mkv", frames_of(16), "ffv1", "gbrp16le")
+    path = write_video(tmp_path / "a.mkv", frames_of(16), "ffv1", "gbrp16le")
     with pytest.raises(FingerflowError, match="gbrp16le"):
         open_recording(path)
 

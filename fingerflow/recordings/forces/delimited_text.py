@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.forces.preamble import is_read, separator_of, without_preamble
+from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read, separator_of, without_preamble
 from fingerflow.recordings.forces.table import ForceTable, split_unit
 
 
@@ -36,9 +36,9 @@ def read_table(path: Path) -> ForceTable:
     separator = separator_of(heading)
     if separator is None:
         heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit is not a separator
-    split = [cell.strip().strip('"').strip() for cell in heading.split(separator)]
+    split = cells_of(heading, separator)
     sample: re.Match[str] | None = first
-    if _is_numeric(split, separator):
+    if is_numeric(split):
         names = [f"column_{number + 1}" for number in range(len(split))]
     else:
         sample = next(lines, None)
@@ -87,8 +87,6 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
     """Return names and units of the columns, and whether the line below the heading holds units."""
-    while cells and not cells[-1]:
-        cells.pop()  # a separator at the end of each line
     names, units = [], {}
     for cell in cells:
         name, unit = split_unit(cell)
@@ -97,18 +95,8 @@ def _heading(path: Path, cells: list[str], below: str, separator: str | None) ->
         names.append(name)
         if unit:
             units[name] = unit
-    second = [cell.strip().strip('"').strip("()[] ") for cell in below.split(separator)][: len(names)]
-    has_units = bool(below) and not any(_is_numeric([cell], separator) for cell in second)
+    second = [cell.strip("()[] ") for cell in cells_of(below, separator)][: len(names)]
+    has_units = bool(below) and not any(is_numeric([cell]) for cell in second)
     if has_units:
         units.update({name: unit for name, unit in zip(names, second, strict=False) if unit})
     return names, units, has_units
-
-
-def _is_numeric(cells: list[str], separator: str | None) -> bool:
-    try:
-        for cell in cells:
-            if cell:
-                float(cell if separator == "," else cell.replace(",", "."))
-    except ValueError:
-        return False
-    return any(cells)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial import Chebyshev, Polynomial
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy.special import i0
 
@@ -46,13 +47,24 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
     begin = np.minimum(first, len(times) - width)  # rows of equal length; unused samples have weight 0
     groups = _alike(times, wanted, first, last, interior)
     rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff in the middle of the transition band
-    weigh = _Weights(times, width, half_width, rate)
+    middle = (times[0] + times[-1]) / 2  # keeps angles and their rounding errors small
+    angles = rate * (times - middle)
+    of_samples = np.stack((times, np.sin(angles), np.cos(angles), _stretches(times)))
+    around_frames = sliding_window_view(of_samples, width, axis=1)
     rows = sliding_window_view(values, width, axis=1)
     result = np.empty((len(values), len(wanted)))
     for start in range(0, len(groups), _FRAMES_AT_ONCE):
         some = groups[start : start + _FRAMES_AT_ONCE]
         one = np.array([frames[0] for frames in some])
-        weights = weigh.at(wanted[one], begin[one], first[one] - begin[one], last[one] - begin[one], interior[one])
+        place = begin[one, None] + np.arange(width)
+        near, sine, cosine, stretches = around_frames[:, begin[one]]
+        offset = near - wanted[one, None]
+        window = polyval(1 - (offset / half_width) ** 2, _WINDOW)
+        window *= (place >= first[one, None]) & (place < last[one, None])
+        # sin(a - b) from one sine and cosine for each sample and frame instead of one for each pair.
+        angle = rate * (wanted[one, None] - middle)
+        sinc = _over_angle(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
+        weights = _exact_moments(sinc * window * stretches, window, offset, interior[one])
         for frames, own in zip(some, weights, strict=True):
             for part in range(0, len(frames), _FRAMES_AT_ONCE):
                 few = frames[part : part + _FRAMES_AT_ONCE]
@@ -83,39 +95,6 @@ def _alike(
     return alone + np.split(frames[order], np.flatnonzero(new) + 1)
 
 
-class _Weights:
-    """Weights of the samples around frames, computed for groups of frames on demand."""
-
-    def __init__(self, times: Samples, width: int, half_width: float, rate: float) -> None:
-        self.half_width = half_width
-        self.rate = rate
-        self.middle = (times[0] + times[-1]) / 2  # keeps angles and their rounding errors small
-        angle = rate * (times - self.middle)
-        of_samples = np.stack((times, np.sin(angle), np.cos(angle), _stretches(times)))
-        self.rows = sliding_window_view(of_samples, width, axis=1)
-
-    def at(
-        self, wanted: Samples, begin: Indices, first: Indices, last: Indices, interior: NDArray[np.bool_]
-    ) -> Samples:
-        """Return weights (m, w) at times (m,) of w samples from `begin` on; those outside [first, last) are 0."""
-        times, sine, cosine, stretches = self.rows
-        offset = times[begin]
-        offset -= wanted[:, None]
-        window = _kaiser(offset / self.half_width)
-        _leave_out(window, first, last)
-        # sin(a - b) from one sine and cosine for each sample and frame instead of one for each pair.
-        angle = self.rate * (wanted - self.middle)[:, None]
-        weights = sine[begin]
-        weights *= np.cos(angle)
-        other = cosine[begin]
-        other *= np.sin(angle)
-        weights -= other
-        _divide_by_angle(weights, np.multiply(offset, self.rate, out=other))
-        weights *= window
-        weights *= stretches[begin]
-        return _exact_moments(weights, window, offset, interior)
-
-
 def _stretches(times: Samples) -> Samples:
     """Return the interval in s that each sample represents: half way to both neighbours.
 
@@ -133,57 +112,35 @@ def kernel_half_width(nyquist: float) -> float:
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
-def _window_polynomial() -> Polynomial:
-    """Return Kaiser's window as a polynomial in 1 - position^2.
+def _window_polynomial() -> Samples:
+    """Return the coefficients of Kaiser's window as a polynomial in 1 - position^2, the constant first.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
     interpolant = Chebyshev.interpolate(lambda square: i0(beta * np.sqrt(square)) / i0(beta), _WINDOW_DEGREE, (0, 1))
-    return interpolant.convert(kind=Polynomial)
+    return np.asarray(interpolant.convert(kind=Polynomial).coef)
 
 
-_WINDOW = tuple(map(float, _window_polynomial().coef[::-1]))
+_WINDOW = _window_polynomial()
 
 
-def _kaiser(position: Samples) -> Samples:
-    """Return the window at `position`, which is overwritten."""
-    position *= position
-    square = np.subtract(1, position, out=position)
-    kaiser = _WINDOW[0] * square
-    for coefficient in _WINDOW[1:-1]:
-        kaiser += coefficient
-        kaiser *= square
-    kaiser += _WINDOW[-1]
-    return kaiser
-
-
-def _leave_out(window: Samples, first: Indices, last: Indices) -> None:
-    """Set a window (m, w) to 0 outside the samples [first, last) of each row."""
-    used = int(first.max()), int(last.min())  # used by all rows; others are one or two on each side if times are even
-    place = np.arange(window.shape[1])
-    window[:, : used[0]] *= place[: used[0]] >= first[:, None]
-    window[:, used[1] :] *= place[used[1] :] < last[:, None]
-
-
-def _divide_by_angle(sine: Samples, angle: Samples) -> None:
-    """Divide sin(x) by x in place, accurately for small x and 0 too; `angle` is overwritten."""
-    close = np.nonzero(np.abs(angle) < _NEAR)
-    near = angle[close]
-    angle[close] = 1.0
-    sine /= angle
-    sine[close] = np.sinc(near / np.pi)
+def _over_angle(sine: Samples, angle: Samples) -> Samples:
+    """Return sin(x) / x from both, accurately for small x and 0 too."""
+    near = np.abs(angle) < _NEAR
+    quotient = sine / np.where(near, 1.0, angle)
+    quotient[near] = np.sinc(angle[near] / np.pi)
+    return quotient
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Return weights of sum 1 and, in the interior, first moment 0; the arguments are overwritten."""
-    weights /= weights.sum(1, keepdims=True)
+    """Return weights (m, w) of sum 1 and, in the interior, first moment 0."""
+    weights = weights / weights.sum(1, keepdims=True)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)
     moment = np.einsum("fj,fj->f", weights, offset)
-    odd = np.multiply(window, offset - centre[:, None], out=window)
+    odd = window * (offset - centre[:, None])
     spread = np.einsum("fj,fj->f", odd, offset)
     correctable = interior & (spread > 0)
-    odd *= np.where(correctable, moment / np.where(spread > 0, spread, 1.0), 0.0)[:, None]
-    weights -= odd
+    weights -= odd * np.where(correctable, moment / np.where(spread > 0, spread, 1.0), 0.0)[:, None]
     return weights

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,27 +70,28 @@ def open_forces(
     table = _read_table(location)
     table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
     time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
-    if isinstance(channels, Mapping):
-        channels = {name: _name(table, column) for name, column in channels.items()}
-    elif channels is not None and not isinstance(channels, str):
-        channels = [_name(table, column) for column in channels]
     times, time_column = _times(table, time, sample_rate)
-    wanted = _wanted(table, channels, trigger, time_column, len(times) if time_column else None)
-    if times.size == 0:  # the rate is known, the length follows from the columns
-        count = len(_column(table, next(iter(wanted.values()))))
+    wanted = _wanted(table, channels, time_column)
+    if trigger is not None and trigger not in wanted.values():
+        wanted[trigger] = trigger
+    if not wanted:
+        raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
+    if time_column is None:  # the rate is known, the length follows from the columns
+        count = len(table.columns[next(iter(wanted.values()))])
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
     values: dict[str, NDArray[np.float64]] = {}
     canonical: dict[str, str] = {}
     scales: dict[str, float] = {}
     for name, column in wanted.items():
-        data = _column(table, column)
+        data = table.columns[column]
         if len(data) != len(times):
             raise FingerflowError(
                 f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
             )
         factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
         values[name], scales[name] = data * factor, factor
-    return Forces(location, times, values, canonical, _name_of(wanted, trigger), scales=scales, warnings=table.warnings)
+    of_trigger = next((name for name, column in wanted.items() if column == trigger), None)
+    return Forces(location, times, values, canonical, of_trigger, scales=scales, warnings=table.warnings)
 
 
 def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
@@ -120,7 +120,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
     unit = table.units.get(time, "s")
     if unit not in TO_SECONDS:
         raise FingerflowError(f"{table.path}: time column {time!r} is in {unit!r}; known are {', '.join(TO_SECONDS)}")
-    times = _column(table, time) * TO_SECONDS[unit]
+    times = table.columns[time] * TO_SECONDS[unit]
     stated, measured = table.sample_rate, _rate(times)
     if stated is not None and measured is not None and abs(measured / stated - 1) > SAME_RATE:
         table.warnings.append(
@@ -149,34 +149,20 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 
 
 def _wanted(
-    table: ForceTable,
-    channels: Sequence[Any] | Mapping[str, Any] | None,
-    trigger: str | None,
-    time_column: str | None,
-    count: int | None,
+    table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
     """Return columns of the file by the names of their channels.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """
-    if isinstance(channels, str):
-        channels = [channels]
-    if channels is None:
-
-        def is_time(name: str) -> bool:
-            return name == time_column if time_column else _is_time(name)
-
-        count = count or max(len(values) for values in table.columns.values())
-        wanted = {name: name for name, data in table.columns.items() if len(data) == count and not is_time(name)}
-    else:
-        wanted = dict(channels) if isinstance(channels, Mapping) else {name: name for name in channels}
-    if trigger is not None and trigger not in wanted.values():
-        wanted[trigger] = trigger
-    for column in wanted.values():
-        _column(table, column)
-    if not wanted:
-        raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
-    return wanted
+    if isinstance(channels, Mapping):
+        return {name: _name(table, column) for name, column in channels.items()}
+    if channels is not None:
+        chosen = [channels] if isinstance(channels, str) else channels
+        return {name: name for name in (_name(table, column) for column in chosen)}
+    times = [time_column] if time_column else list(filter(_is_time, table.columns))
+    count = max(len(table.columns[name]) for name in ([time_column] if time_column else table.columns))
+    return {name: name for name, data in table.columns.items() if len(data) == count and name not in times}
 
 
 def _is_time(name: str) -> bool:
@@ -212,14 +198,9 @@ def _name(table: ForceTable, column: Column) -> str:
                 f"{table.path}: has no column {column}; it has {len(names)}, numbered from 1: {_names(table)}"
             )
         return names[column - 1]
-    _column(table, column)
+    if column not in names:
+        raise FingerflowError(f"{table.path}: has no column {column!r}; its columns are {_names(table)}")
     return column
-
-
-def _column(table: ForceTable, name: str) -> NDArray[np.float64]:
-    if name not in table.columns:
-        raise FingerflowError(f"{table.path}: has no column {name!r}; its columns are {_names(table)}")
-    return table.columns[name]
 
 
 def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool) -> tuple[float, str]:
@@ -237,10 +218,6 @@ def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool)
         f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, in a scene "
         "[forces] units, or leave the column out with channels="
     )
-
-
-def _name_of(wanted: Mapping[str, str], trigger: str | None) -> str | None:
-    return next((name for name, column in wanted.items() if column == trigger), None)
 
 
 def _names(table: ForceTable) -> str:

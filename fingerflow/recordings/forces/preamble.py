@@ -35,30 +35,19 @@ def without_preamble(path: Path, text: str) -> Content:
     """
     if _END_OF_HEADER in text:
         return _of_labview(path, text)
-    lines = islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT)
-    read: list[re.Match[str]] = []
-    cells: list[list[str]] = []
-    numbers: list[int] = []
-    first = 0
-    for line in lines:
-        if not is_read(line.group()):
-            continue
-        read.append(line)
-        cells.append(_cells(line.group()))
-        numbers.append(_numbers(cells[-1]))
-        if len(numbers) >= _RUN and numbers[-1] and numbers[-_RUN:] == [numbers[-1]] * _RUN:
-            first = len(numbers) - _RUN
-            break
+    lines = [line for line in islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT) if is_read(line.group())]
+    cells = [cells_of(line.group(), separator_of(line.group())) for line in lines]
+    widths = [len(row) if is_numeric(row) else 0 for row in cells]
+    runs = (number for number in range(len(widths) - _RUN + 1) if len(set(widths[number : number + _RUN])) == 1)
+    first = next((number for number in runs if widths[number]), 0)
     if first < 2:
         return Content(text)
-    width = numbers[first]
     above, higher = cells[first - 1], cells[first - 2]
-    names = [one for one in (above, higher) if len(_trimmed(one)) == width]
-    names_and_units = first == 2 and len(names) == 2
-    if names_and_units or not names or names[0] is not above:  # or ambiguous
+    both = len(higher) == widths[first]
+    if len(above) != widths[first] or (both and first == 2):  # ambiguous, or names and units alone
         return Content(text)
-    is_units = len(names) == 2 and all(len(cell) <= 4 or cell[:1] in "([" for cell in _trimmed(above))
-    return Content(text[read[first - 1 - is_units].start() :])
+    is_units = both and all(len(cell) <= 4 or cell[:1] in "([" for cell in above)
+    return Content(text[lines[first - 1 - is_units].start() :])
 
 
 def _of_labview(path: Path, text: str) -> Content:
@@ -94,11 +83,6 @@ def is_read(line: str) -> bool:
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
-def _cells(line: str) -> list[str]:
-    separator = separator_of(line)
-    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
-
-
 def separator_of(line: str) -> str | None:
     """Return the separator of the cells of a line; None for blanks, between which commas are decimal commas."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
@@ -106,19 +90,19 @@ def separator_of(line: str) -> str | None:
     return next((mark for mark in (";", "\t", ",") if mark in line), None)
 
 
-def _trimmed(cells: Sequence[str]) -> list[str]:
-    """Return cells without empty ones at the end."""
-    count = len(cells)
-    while count and not cells[count - 1]:
-        count -= 1
-    return list(cells[:count])
+def cells_of(line: str, separator: str | None) -> list[str]:
+    """Return the cells of a line without blanks and quotes around them, and without empty cells at its end."""
+    cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
-def _numbers(cells: Sequence[str]) -> int:
-    """Return the number of cells of a line of numbers, 0 for any other line."""
+def is_numeric(cells: Sequence[str]) -> bool:
+    """Return whether all cells that are not empty are numbers, and at least one is."""
     try:
-        for cell in _trimmed(cells):
+        for cell in filter(None, cells):
             float(cell.replace(",", "."))
     except ValueError:
-        return 0
-    return len(_trimmed(cells))
+        return False
+    return any(cells)

@@ -25,14 +25,16 @@ class ForceTable:
     start: float = 0.0
     warnings: list[str] = field(default_factory=list)
 
-    def add(self, name: str, values: NDArray[np.float64]) -> None:
-        """Add one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]."""
+    def add(self, name: str, values: NDArray[np.float64], unit: object = None) -> None:
+        """Add one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]; `unit` if the file states it."""
         values = np.squeeze(np.asarray(values, np.float64))
-        if values.ndim == 1:
-            self.columns[name] = values
-        elif values.ndim == 2:
-            for number, column in enumerate(values.T if values.shape[0] >= values.shape[1] else values):
-                self.columns[f"{name}[{number}]"] = column
+        added = {name: values} if values.ndim == 1 else {}
+        if values.ndim == 2:
+            long = values if values.shape[0] >= values.shape[1] else values.T
+            added = {f"{name}[{number}]": column for number, column in enumerate(long.T)}
+        self.columns |= added
+        if unit is not None:
+            self.units |= dict.fromkeys(added, str(unit))
 
 
 def split_unit(heading: str) -> tuple[str, str | None]:

@@ -62,10 +62,8 @@ def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]
         if values.dtype.kind not in "iuf":
             continue
         name = channel.name if shared[channel.name] == 1 else f"{channel.group_name}/{channel.name}"
-        table.add(name, values)
-        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-        if unit:
-            table.units[name] = {"Newtons": "N", "Volts": "V"}.get(str(unit), str(unit))
+        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or None
+        table.add(name, values, {"Newtons": "N", "Volts": "V"}.get(str(unit), unit))
         if channel.properties.get("wf_increment"):
             clock = channel.properties["wf_increment"], channel.properties.get("wf_start_offset", 0.0)
             clocks.add((float(clock[0]), float(clock[1])))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
-from fingerflow.recordings.frames.packing import packed_bytes, unpack_10bit, unpack_12bit
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.packing import packed_bytes, unpack
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
 
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
@@ -45,7 +46,7 @@ SETUP_FIELDS = {
 }
 
 
-def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a recording by its headers and image offsets alone; raise FingerflowError for colour and for damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
@@ -69,8 +70,7 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
     if whole == 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
 
-    warnings = [missing_frames(count - whole, count)] if whole < count else []
-    warnings += [
+    warnings = [
         f"{name} is set: a player would turn the picture; the frames here are as the sensor recorded them"
         for name in ("bFlipH", "bFlipV", "Rotate")
         if setup[name]
@@ -84,6 +84,7 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=layout.shape,
         dtype=layout.dtype,
         bit_depth=layout.bit_depth,
@@ -94,33 +95,18 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
         warnings=(*warnings, *complaints),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
     )
-    return CineRecording(description, frame_rate, table[:whole], layout)
+    return FileRecording(description, partial(_frame, path, data, table[:whole], layout))
 
 
-class CineRecording(FileRecording):
-    """Recording whose frames are found by their offset, so that the size of the file does not matter."""
-
-    def __init__(
-        self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _CineLayout
-    ) -> None:
-        super().__init__(description, frame_rate)
-        self._offsets = offsets
-        self._layout = layout
-        self._bytes: NDArray[np.uint8] = np.memmap(description.path, np.uint8, "r")
-
-    def _read_frame(self, index: int) -> Frames:
-        # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
-        start = int(self._offsets[index])
-        start += _unsigned(self._bytes[start : start + 4])
-        image_bytes = _unsigned(self._bytes[start - 4 : start])
-        if image_bytes != self._layout.image_bytes:
-            raise FingerflowError(
-                f"{self.path}: frame {index} has {image_bytes} bytes instead of {self._layout.image_bytes}"
-            )
-        return self._layout.pixels(np.asarray(self._bytes[start : start + image_bytes]))
-
-    def close(self) -> None:
-        self._bytes = np.empty(0, np.uint8)
+def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
+    """Return one frame, found by its offset in the bytes of the file, so that the size of the file does not matter."""
+    # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
+    start = int(offsets[index])
+    start += _unsigned(data[start : start + 4])
+    image_bytes = _unsigned(data[start - 4 : start])
+    if image_bytes != layout.image_bytes:
+        raise FingerflowError(f"{path}: frame {index} has {image_bytes} bytes instead of {layout.image_bytes}")
+    return layout.pixels(np.asarray(data[start : start + image_bytes]))
 
 
 @dataclass(frozen=True)
@@ -138,9 +124,9 @@ class _CineLayout:
         height, width = self.shape
         if self.compression == PACKED_10:
             # The 10 bits are companded, not linear: light is proportional to the 12-bit value in the table.
-            image = LINEAR_OF_COMPANDED[unpack_10bit(data, height * width)].reshape(height, width)
+            image = LINEAR_OF_COMPANDED[unpack(data, 10, self.shape)]
         elif self.compression == PACKED_12:
-            image = unpack_12bit(data, height * width).reshape(height, width)
+            image = unpack(data, 12, self.shape)
         else:
             rows = data.reshape(height, -1)[:, : width * self.dtype.itemsize]  # rows may be padded to 4 bytes
             image = np.ascontiguousarray(rows).view(self.dtype.newbyteorder("<")).astype(self.dtype)

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import (
-    Description,
-    FileRecording,
-    Frames,
-    container_bits,
-    grey_dtype,
-    missing_frames,
-)
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
 from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
+from fingerflow.recordings.guard.hdf5 import number_attribute, open_hdf5, stored_whole
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
 NEVER_WRITTEN = "was never written"
 
 
-def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5Recording:
+def open_frames(path: Path, dataset: str = "") -> FileRecording:
     """Open the only data set of three dimensions, or the one that `dataset` names.
 
     Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
@@ -33,14 +27,11 @@ def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5
     Raises FingerflowError, naming the data sets, if the choice is ambiguous; and where the frames are in other files
     that are missing, or cannot be in this one by its size.
     """
-    file = open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES)
-    try:
-        with reading(path, "HDF5"):
-            description, frames = _describe(path, file, dataset)
-    except FingerflowError:
-        file.close()
-        raise
-    return Hdf5Recording(description, frame_rate, frames)
+    with ExitStack() as opened, reading(path, "HDF5"):
+        file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
+        description, frames = _describe(path, file, dataset)
+        opened.pop_all()
+    return FileRecording(description, frames.__getitem__, file.close)
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
@@ -57,37 +48,15 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     description = Description(
         path=path,
         count=count,
+        stated_count=len(lacking),
         frame_shape=frames.shape[1:],
         dtype=dtype,
-        bit_depth=int(depth) if depth is not None and dtype.kind == "u" else container_bits(dtype),
+        bit_depth=None if depth is None else int(depth),
         frame_rate=rate,
         metadata={"dataset": frames.name},
-        warnings=(missing_frames(len(lacking) - count, len(lacking)),) if count < len(lacking) else (),
         unreadable={int(index): NEVER_WRITTEN for index in np.flatnonzero(lacking[:count])},
     )
     return description, frames
-
-
-class Hdf5Recording(FileRecording):
-    """Recording of frames that are read from the data set one at a time."""
-
-    def __init__(self, description: Description, frame_rate: float | None, frames: h5py.Dataset) -> None:
-        super().__init__(description, frame_rate)
-        self._frames = frames
-
-    def _read_frame(self, index: int) -> Frames:
-        if index in self.unreadable:
-            return self._no_picture(index, "")
-        if not self._frames:
-            raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        try:
-            return np.asarray(self._frames[index], self.dtype)
-        except Exception as error:  # filters raise any exception for a damaged chunk
-            return self._no_picture(index, f"cannot be unpacked ({first_line(error)})")
-
-    def close(self) -> None:
-        if self._frames:
-            self._frames.file.close()
 
 
 def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
@@ -137,13 +106,7 @@ def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bo
 
 
 def _attribute(path: Path, item: h5py.Dataset, name: str) -> float | None:
-    place: Any = item
-    while True:
-        if name in place.attrs:
-            value = np.asarray(place.attrs[name])
-            if value.size != 1 or value.dtype.kind not in "iuf":
-                raise FingerflowError(f"{path}: attribute {name} of {place.name} is {value!r}; it should be one number")
-            return float(value.reshape(-1)[0])
-        if place.name == "/":
-            return None
+    place: h5py.Dataset | h5py.Group = item
+    while (value := number_attribute(place, name, path)) is None and place.name != "/":
         place = place.parent
+    return value

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.files import check_file
 from fingerflow.schema.claimed_sizes import impossible_picture
@@ -19,11 +21,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
 
-class DamagedPicture(FingerflowError):
-    """Error for one image that cannot be decoded."""
-
-
-def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open all images of a folder, or the image `path`.
 
     Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
@@ -38,62 +36,51 @@ def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
     if path.is_dir():
         files, warnings = _in_order(path)
     there = [file for file in files if file is not None]
-    first = read_image(there[0])
+    first = _read_image(there[0])
     description = Description(
         path=path,
         count=len(files),
         frame_shape=(first.shape[0], first.shape[1]),
         dtype=first.dtype,
-        bit_depth=container_bits(first.dtype),
         lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
         warnings=warnings,
         unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
-    return ImageRecording(description, frame_rate, files)
+    return FileRecording(description, partial(_image_at, files, description))
 
 
-class ImageRecording(FileRecording):
-    """Recording of one file a frame; None in place of a file whose number is missing."""
-
-    def __init__(self, description: Description, frame_rate: float | None, files: list[Path | None]) -> None:
-        super().__init__(description, frame_rate)
-        self._files = files
-
-    def _read_frame(self, index: int) -> Frames:
-        file = self._files[index]
-        if file is None:
-            return self._no_picture(index, "has no file")
-        try:
-            image = read_image(file)
-        except DamagedPicture as error:
-            return self._no_picture(index, str(error))
-        if image.shape != self.frame_shape or image.dtype != self.dtype:
-            raise FingerflowError(
-                f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
-                f"{self.metadata['first_file']}, is {self.frame_shape[0]} x {self.frame_shape[1]} {self.dtype}"
-            )
-        return image
+def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
+    """Return one frame; raise FingerflowError for an image of another size or type than the first one."""
+    file = files[index]
+    assert file is not None, "a missing file is an unreadable frame"
+    image = _read_image(file)
+    if image.shape != first.frame_shape or image.dtype != first.dtype:
+        raise FingerflowError(
+            f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
+            f"{first.metadata['first_file']}, is {first.frame_shape[0]} x {first.frame_shape[1]} {first.dtype}"
+        )
+    return image
 
 
-def read_image(path: Path) -> Frames:
+def _read_image(path: Path) -> Frames:
     """Return one grey image (H, W). Grey stored as three equal channels is accepted without loss.
 
-    Raises DamagedPicture where it cannot be decoded, FingerflowError for colour.
+    Raises DamagedFrame where it cannot be decoded, FingerflowError for colour.
     """
     try:
         check_file(path)
         if path.suffix.lower() in (".tif", ".tiff"):
-            with open_tiff(path, None) as stack:
+            with open_tiff(path) as stack:
                 image = stack[0]
                 if stack.unreadable:
-                    raise DamagedPicture(f"{path}: {stack.unreadable[0]}")
+                    raise DamagedFrame(f"{path}: {stack.unreadable[0]}")
                 pages = len(stack)
         else:
             # Read through NumPy: cv2.imread fails silently for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
-        raise DamagedPicture(
+        raise DamagedFrame(
             str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
         ) from error
     if pages != 1:
@@ -103,20 +90,19 @@ def read_image(path: Path) -> Frames:
         if not opaque or np.any(image[..., 1:3] != image[..., :1]):
             raise FingerflowError(f"{path}: has real colour or transparency; convert it to grey first")
         image = np.ascontiguousarray(image[..., 0])
-    grey_dtype(image.dtype, path)
     return image
 
 
 def _decoded(path: Path, data: np.ndarray) -> Frames:
     wrong = impossible_picture(data.data)
     if wrong:
-        raise DamagedPicture(f"{path}: {wrong}; copy it again")
+        raise DamagedFrame(f"{path}: {wrong}; copy it again")
     try:
         image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:
         image = None
     if image is None:
-        raise DamagedPicture(f"{path}: cannot be read as an image; it is of another kind or damaged; copy it again")
+        raise DamagedFrame(f"{path}: cannot be read as an image; it is of another kind or damaged; copy it again")
     return image
 
 

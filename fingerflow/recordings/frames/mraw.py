@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.packing import packed_bytes, unpack_12bit
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.packing import packed_bytes, unpack
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
 from fingerflow.recordings.guard.files import check_file
 
 HEADERS = (".cihx", ".cih")
@@ -40,7 +41,7 @@ XML_PLACES = {
 }
 
 
-def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open either file of the pair; raise FingerflowError if the other is missing, for colour or an invalid header."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
@@ -71,13 +72,14 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=layout.shape,
         dtype=layout.dtype,
         bit_depth=layout.bit_depth,
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
-        warnings=header.warnings + ((missing_frames(count - whole, count),) if whole < count else ()),
+        warnings=header.warnings,
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,
@@ -86,7 +88,11 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
             **({"exposure_s": exposure} if exposure else {}),
         },
     )
-    return MrawRecording(description, frame_rate, pixels, layout)
+    stored = np.memmap(pixels, np.uint8, "r", 0, (whole, layout.frame_bytes))
+    if layout.stored_bits == 12 or layout.shift:
+        return FileRecording(description, partial(_decoded, stored, layout))
+    frames = stored.view(layout.dtype.newbyteorder("<")).reshape(whole, *layout.shape)
+    return FileRecording(description, frames)
 
 
 @dataclass(frozen=True)
@@ -102,35 +108,13 @@ class _MrawLayout:
     frame_bytes: int
 
 
-class MrawRecording(FileRecording):
-    """Recording whose frames follow each other without gaps."""
-
-    def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _MrawLayout) -> None:
-        self._layout = layout
-        self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
-        super().__init__(description, frame_rate, self._as_frames(description.count))
-
-    def _read_frame(self, index: int) -> Frames:
-        layout = self._layout
-        data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
-        if layout.stored_bits == 12:
-            return unpack_12bit(data, layout.shape[0] * layout.shape[1]).reshape(layout.shape)
-        result: Frames = data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(
-            layout.shift
-        )
-        return result
-
-    def _as_frames(self, count: int) -> Frames | None:
-        """Return the bytes as frames (N, H, W); None if pixels are packed or shifted."""
-        layout = self._layout
-        if layout.stored_bits == 12 or layout.shift:
-            return None
-        pixels = self._bytes[: count * layout.frame_bytes].view(layout.dtype.newbyteorder("<"))
-        return pixels.reshape(count, *layout.shape)
-
-    def close(self) -> None:
-        super().close()
-        self._bytes = np.empty(0, np.uint8)
+def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
+    """Return one frame whose pixels are packed, or have to be shifted, from the bytes (N, frame_bytes) of all."""
+    data = np.asarray(stored[index])
+    if layout.stored_bits == 12:
+        return unpack(data, 12, layout.shape)
+    pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
+    return pixels.reshape(layout.shape)
 
 
 class _Header:

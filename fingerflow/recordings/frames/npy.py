@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import (
-    Description,
-    FileRecording,
-    Frames,
-    container_bits,
-    grey_dtype,
-    missing_frames,
-)
+from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
 from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
-def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a file by its header alone; raise FingerflowError for other shapes and pixels that are not grey values."""
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
@@ -49,24 +42,8 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
     description = Description(
         path=path,
         count=whole,
+        stated_count=count,
         frame_shape=(height, width),
         dtype=dtype,
-        bit_depth=container_bits(dtype),
-        warnings=(missing_frames(count - whole, count),) if whole < count else (),
     )
-    return NpyRecording(description, frame_rate, frames)
-
-
-class NpyRecording(FileRecording):
-    """Recording of frames in a memory map."""
-
-    def __init__(self, description: Description, frame_rate: float | None, frames: np.ndarray[Any, Any]) -> None:
-        super().__init__(description, frame_rate, frames)
-        self._frames = frames
-
-    def _read_frame(self, index: int) -> Frames:
-        return np.array(self._frames[index], self.dtype)
-
-    def close(self) -> None:
-        super().close()
-        self._frames = np.empty((0, *self.frame_shape), self.dtype)
+    return FileRecording(description, frames)

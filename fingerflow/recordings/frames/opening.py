@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import Recording
+from fingerflow.recordings.frames.recording import FileRecording, Recording
 from fingerflow.recordings.guard.files import check_file, reading
 
 # Readers are imported on first use: video and HDF5 libraries take a second to load.
@@ -58,5 +58,7 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         check_file(location)
     module = import_module(f"fingerflow.recordings.frames.{reader}")
     with reading(location, f"a recording ({reader})"):
-        recording: Recording = module.open_frames(location, frame_rate, **({"dataset": inside} if inside else {}))
+        recording: FileRecording = module.open_frames(location, **({"dataset": inside} if inside else {}))
+    if frame_rate is not None:
+        recording.replace_rate(frame_rate)
     return recording

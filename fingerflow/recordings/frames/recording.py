@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 
 # Lossy codecs, by the names of FFmpeg and tifffile, that compress each frame by itself (intra-frame).
 EACH_FRAME_BY_ITSELF = frozenset(
@@ -26,20 +26,20 @@ Frames = NDArray[Any]
 
 @dataclass(frozen=True)
 class Description:
-    """Content of a file's header, as a reader finds it before it reads any frame.
+    """Content of a file's header, as a reader finds it before it reads any frame; see `Recording`.
 
-    `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
-    `first_number`: number of the first frame, counted from the trigger, or 0 if the file states no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `has_trigger`: whether time 0 is
-    the camera's trigger. `lossy`: the codec, if it is lossy. `unreadable`: frames known to be damaged, by number, and
-    the reason.
+    `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
+    None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
+    states no trigger. `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`:
+    frames known to be damaged, by number, and the reason.
     """
 
     path: Path
     count: int
     frame_shape: tuple[int, int]
     dtype: np.dtype[Any]
-    bit_depth: int | None
+    bit_depth: int | None = None
+    stated_count: int = 0
     frame_rate: float | None = None
     first_number: float = 0.0
     time_stamps: NDArray[np.float64] | None = None
@@ -48,6 +48,10 @@ class Description:
     has_trigger: bool = False
     lossy: str | None = None
     unreadable: Mapping[int, str] = field(default_factory=dict)
+
+
+class DamagedFrame(FingerflowError):
+    """Error for one frame that cannot be read, although others can; the text is the reason, as in `unreadable`."""
 
 
 class Recording(ABC):
@@ -64,16 +68,18 @@ class Recording(ABC):
     `lossy`, the codec if it is lossy ("h264", "jpeg"), else None.
     """
 
-    path: Path
-    frame_shape: tuple[int, int]
-    dtype: np.dtype[Any]
-    bit_depth: int | None
-    frame_rate: float | None
     times: NDArray[np.float64] | None
-    warnings: tuple[str, ...]
-    metadata: dict[str, Any]
-    has_trigger: bool
-    lossy: str | None
+
+    def __init__(self, header: Description | Recording) -> None:
+        self.path: Path = header.path
+        self.frame_shape: tuple[int, int] = header.frame_shape
+        self.dtype: np.dtype[Any] = header.dtype
+        self.bit_depth: int | None = header.bit_depth
+        self.frame_rate: float | None = header.frame_rate
+        self.warnings: tuple[str, ...] = header.warnings
+        self.metadata: dict[str, Any] = header.metadata
+        self.has_trigger: bool = header.has_trigger
+        self.lossy: str | None = header.lossy
 
     @property
     def takes_from_other_frames(self) -> str | None:
@@ -96,7 +102,7 @@ class Recording(ABC):
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
-        """Return frame `index` (0 <= index < len) as (H, W); the only method in which a reader reads pixels."""
+        """Return frame `index` (0 <= index < len) as (H, W); NaN or 0 in all pixels if it is unreadable."""
 
     @abstractmethod
     def close(self) -> None:
@@ -170,34 +176,44 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """Recording of all frames of a file, the base class of readers.
+    """Recording of all frames of a file.
 
-    Readers add `_read_frame`, and pass `stack`, a memory map (N, H, W), if frames need no decoding. A `frame_rate`
-    given by the user replaces the rate and the time stamps of the file: frame i then lies at (first number + i) /
-    frame_rate, so that time 0 stays at the trigger.
+    `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
+    cannot. `close_file` closes the file.
     """
 
-    def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
-        self.path = description.path
-        self.frame_shape = description.frame_shape
+    def __init__(
+        self,
+        description: Description,
+        frames: Frames | Callable[[int], Frames] | None,
+        close_file: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(description)
         self.dtype = description.dtype.newbyteorder("=")
-        self.bit_depth = description.bit_depth
-        self.warnings = description.warnings + (() if description.lossy is None else (lossy_codec(description.lossy),))
-        self.metadata = description.metadata
-        self.has_trigger = description.has_trigger
-        self.lossy = description.lossy
+        if self.dtype.kind == "f":
+            self.bit_depth = None
+        elif self.bit_depth is None:
+            self.bit_depth = 8 * self.dtype.itemsize  # a guess from the values would change with them
+        missing = description.stated_count - description.count
+        if missing > 0:
+            cut = f"truncated: {missing} of {description.stated_count} frames are missing at the end of the file"
+            self.warnings = (cut, *self.warnings)
+        if description.lossy is not None:
+            self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
-        self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
-        self._count = description.count
-        # Usable without a copy only if contiguous and in native byte order.
-        usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
-        self._map = np.asarray(stack) if usable else None
-        if frame_rate is None and description.time_stamps is not None:
-            self.times = description.time_stamps
-        elif self.frame_rate is not None:
-            self.times = np.asarray((description.first_number + np.arange(description.count)) / self.frame_rate)
-        else:
-            self.times = None
+        self._count, self._first_number = description.count, description.first_number
+        self._frames, self._close_file = frames, close_file
+        self.times = description.time_stamps
+        if self.times is None and self.frame_rate is not None:
+            self.replace_rate(self.frame_rate)
+
+    def replace_rate(self, frame_rate: float) -> None:
+        """Replace the rate and the time stamps of the file: frame i lies at (first number + i) / frame_rate.
+
+        Time 0 stays at the trigger.
+        """
+        self.frame_rate = frame_rate
+        self.times = np.asarray((self._first_number + np.arange(self._count)) / frame_rate)
 
     def __len__(self) -> int:
         return self._count
@@ -206,33 +222,45 @@ class FileRecording(Recording):
     def unreadable(self) -> Mapping[int, str]:
         return MappingProxyType(self._unreadable)
 
-    def _no_picture(self, index: int, reason: str) -> Frames:
-        """Return the substitute for a frame that cannot be read, NaN or 0, and add the frame to `unreadable`."""
-        self._unreadable.setdefault(index, reason)
+    def _decode(self, index: int) -> Frames:
+        """Return frame `index` (H, W), or raise DamagedFrame; the only method in which pixels are read."""
+        if self._frames is None:
+            raise FingerflowError(f"{self.path}: the file is closed; open it again")
+        if isinstance(self._frames, np.ndarray):
+            return np.array(self._frames[index], self.dtype)
+        try:
+            return np.asarray(self._frames(index), self.dtype)
+        except FingerflowError:
+            raise
+        except Exception as error:  # codecs and filters raise any exception for a damaged frame
+            raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
+
+    def _read_frame(self, index: int) -> Frames:
+        if index not in self._unreadable:
+            try:
+                return self._decode(index)
+            except DamagedFrame as error:
+                self._unreadable[index] = str(error)
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
-        return self._map
+        # Usable without a copy only if contiguous and in native byte order.
+        frames = self._frames
+        usable = isinstance(frames, np.ndarray) and frames.dtype == self.dtype and frames.flags.c_contiguous
+        return np.asarray(frames) if usable else None
 
     def close(self) -> None:
-        """Close the memory map; readers that keep the file open close it too."""
-        self._map = None
+        self._frames = None
+        self._close_file()
 
 
 class _View(Recording):
     """Selection of frames of a file, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
+        super().__init__(file)
         self._file = file
         self._indices = indices
-        self.path = file.path
-        self.frame_shape = file.frame_shape
-        self.dtype = file.dtype
-        self.bit_depth = file.bit_depth
-        self.warnings = file.warnings
-        self.metadata = file.metadata
-        self.has_trigger = file.has_trigger
-        self.lossy = file.lossy
         self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
         self.frame_rate = _rate_of_view(file.frame_rate, indices)
 
@@ -291,14 +319,6 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     )
 
 
-def container_bits(dtype: np.dtype[Any]) -> int | None:
-    """Return the bits of a data type, the bit depth if the file states none; None for float.
-
-    A guess from the values would change with them.
-    """
-    return None if dtype.kind == "f" else 8 * dtype.itemsize
-
-
 def lossy_codec(name: str) -> str:
     """Return the warning for pixels that a lossy codec has changed.
 
@@ -319,8 +339,3 @@ def lossy_codec(name: str) -> str:
         "shows. The deviation of positions is stated 2 to 10 times too small (H.264: 0.09 to 0.3 px off where 0.03 to "
         f"0.05 is stated), and those of displacement and of all that follows from it are NaN; {remedy}"
     )
-
-
-def missing_frames(missing: int, expected: int) -> str:
-    """Return the warning for a file that ends too early."""
-    return f"truncated: {missing} of {expected} frames are missing at the end of the file"

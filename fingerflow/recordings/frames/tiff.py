@@ -6,21 +6,23 @@ import logging
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
 
-from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype
 from fingerflow.recordings.guard.files import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
-def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
+def open_frames(path: Path) -> FileRecording:
     """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
@@ -29,54 +31,25 @@ def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
     complaints = _Complaints()
     logger = logging.getLogger("tifffile")
     logger.addFilter(complaints)
-    file: tifffile.TiffFile | None = None
     try:
-        with reading(path, "TIFF"):
-            file = tifffile.TiffFile(path)
+        with ExitStack() as opened, reading(path, "TIFF"):
+            file = opened.enter_context(tifffile.TiffFile(path))
             _check_chain(path, file)
-            description, stack = _describe(path, file, file.series, complaints.messages)
-            return TiffRecording(description, frame_rate, file, stack)
-    except FingerflowError:
-        if file is not None:
-            file.close()
-        raise
+            description, frames = _describe(path, file, file.series, complaints.messages)
+            if isinstance(frames, np.ndarray):
+                return FileRecording(description, frames)
+            opened.pop_all()
+            return FileRecording(description, partial(_page, frames, description.frame_shape), file.close)
     finally:
         logger.removeFilter(complaints)
 
 
-class TiffRecording(FileRecording):
-    """Recording of frames from a memory map, or page by page if they are compressed or scattered."""
-
-    def __init__(
-        self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, stack: _Stack
-    ) -> None:
-        super().__init__(description, frame_rate, stack if isinstance(stack, np.ndarray) else None)
-        self._file = file
-        self._stack = stack
-
-    def _read_frame(self, index: int) -> Frames:
-        if index in self.unreadable:
-            return self._no_picture(index, "")
-        if isinstance(self._stack, np.ndarray):
-            return np.array(self._stack[index], self.dtype)
-        if self._stack is None:
-            raise FingerflowError(f"{self.path}: the file is closed; open it again")
-        try:
-            image = np.asarray(self._stack[index].asarray())
-        except Exception as error:  # codecs raise any exception for a damaged page
-            return self._no_picture(index, f"cannot be decoded ({first_line(error)})")
-        if image.size != self.frame_shape[0] * self.frame_shape[1]:
-            return self._no_picture(index, f"is {image.shape} and not {self.frame_shape}")
-        return image.astype(self.dtype).reshape(self.frame_shape)
-
-    def close(self) -> None:
-        super().close()
-        self._stack = None
-        self._file.close()
-
-
-_Stack = Sequence[Any] | np.ndarray[Any, Any] | None
-"""Pages, each decoded when it is asked for; or a map of all; None when closed."""
+def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
+    """Return one frame of those that are compressed or scattered."""
+    image = np.asarray(pages[index].asarray())
+    if image.size != shape[0] * shape[1]:
+        raise DamagedFrame(f"is {image.shape} and not {shape}")
+    return image.reshape(shape)
 
 
 class _Complaints(logging.Filter):
@@ -115,7 +88,10 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
         offset = struct.unpack(layout.offsetformat, following)[0]
 
 
-def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]) -> tuple[Description, _Stack]:
+def _describe(
+    path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]
+) -> tuple[Description, Sequence[Any] | Frames]:
+    """Return the header and either a memory map of the frames, or their pages, which are decoded one by one."""
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
     kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
@@ -143,7 +119,7 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
         # ImageJ stores contiguous pixels, then the list of pages; if only that is cut off, the count is still known.
         count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
-    frames: _Stack = None
+    frames: Sequence[Any] | Frames = []
     damaged: dict[int, str] = {}
     if one_piece:
         whole = min(count, (size - stack.dataoffset) // (height * width * dtype.itemsize))
@@ -161,9 +137,7 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
     warnings = []
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
-    if whole < count:
-        warnings.append(missing_frames(count - whole, count))
-    elif complaints:
+    if complaints and whole == count:
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         warnings.append("the file declares 0 as white: grey values are kept as stored, so larger ones are darker")
@@ -171,9 +145,10 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
         Description(
             path=path,
             count=whole,
+            stated_count=count,
             frame_shape=(height, width),
             dtype=dtype,
-            bit_depth=None if dtype.kind == "f" else page.bitspersample,
+            bit_depth=page.bitspersample,
             frame_rate=_rate(imagej),
             lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
             unreadable=damaged,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.files import reading
 from fingerflow.schema.claimed_sizes import MOST_PIXELS
@@ -32,7 +32,7 @@ LUMA_RANGE = {1: "limited", 2: "full"}
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 
-def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
+def open_frames(path: Path) -> VideoRecording:
     """Find the position of each frame without decoding; raise FingerflowError for files that FFmpeg cannot read.
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
@@ -52,11 +52,11 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
         index = _index(path, container, stream)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
-    warnings = [missing_frames(promised - index.count, promised)] if promised > index.count else []
+    warnings = []
     # MKV states no number of frames, only their duration in ticks and the number of bytes.
     lasting = container_seconds * float(rate or 0)
     if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
-        warnings.append(missing_frames(round(lasting) - index.count, round(lasting)))
+        promised = round(lasting)
     elif not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
@@ -75,6 +75,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
     description = Description(
         path=path,
         count=index.count,
+        stated_count=promised,
         frame_shape=pixels.shape,
         dtype=pixels.dtype,
         bit_depth=pixels.bits,
@@ -85,7 +86,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
         unreadable=index.damaged,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
-    return VideoRecording(description, frame_rate, pixels, index)
+    return VideoRecording(description, pixels, index)
 
 
 class VideoRecording(FileRecording):
@@ -94,8 +95,8 @@ class VideoRecording(FileRecording):
     Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
 
-    def __init__(self, description: Description, frame_rate: float | None, pixels: _Pixels, index: _Index) -> None:
-        super().__init__(description, frame_rate)
+    def __init__(self, description: Description, pixels: _Pixels, index: _Index) -> None:
+        super().__init__(description, None)
         self._pixels = pixels
         self._index = index
         self._container: Any = None
@@ -105,11 +106,11 @@ class VideoRecording(FileRecording):
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
-    def _read_frame(self, index: int) -> Frames:
-        if index not in self._cache and index not in self.unreadable:
+    def _decode(self, index: int) -> Frames:
+        if index not in self._cache:
             self._decode_to(index)
-        if index in self.unreadable:
-            return self._no_picture(index, "")
+        if index in self._unreadable:
+            raise DamagedFrame(self._unreadable[index])
         return self._cache[index].copy()
 
     def _decode_to(self, wanted: int) -> None:

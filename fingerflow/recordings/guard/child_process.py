@@ -33,7 +33,7 @@ def check_in_child_process(path: Path, kind: str) -> None:
     Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
     memory than a file of its size can need.
     """
-    _sound(path, kind, _child.ask(path, kind))
+    _answer_about(path, kind)
 
 
 def read_matlab_apart(path: Path) -> dict[str, Any]:
@@ -42,14 +42,15 @@ def read_matlab_apart(path: Path) -> dict[str, Any]:
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
     """
-    found = _child.ask(path, "MATLAB")
-    _sound(path, "MATLAB", found)
+    found = _answer_about(path, "MATLAB")
     return dict(_from_json(found or child_reader.as_json(child_reader.read_matlab(str(path)))))
 
 
-def _sound(path: Path, kind: str, answer: Any) -> None:
+def _answer_about(path: Path, kind: str) -> Any:
+    answer = _child.ask(path, kind)
     if answer and isinstance(answer, str):
         raise FingerflowError(f"{path}: is damaged, or no {kind} file: {answer}; copy it again, or export it anew")
+    return answer
 
 
 def _from_json(value: Any) -> Any:

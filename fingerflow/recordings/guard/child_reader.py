@@ -58,7 +58,13 @@ def through_hdf5(path: str) -> str:
         count += 1
         if count > MOST_OBJECTS:
             return f"it has more than {MOST_OBJECTS} objects"
-        return _attributes(item) or _storage(item)
+        wrong = _attributes(item)
+        if wrong is None and isinstance(item, h5py.Dataset):
+            for name in ("shape", "dtype", "chunks", "compression", "fillvalue", "is_virtual", "external"):
+                getattr(item, name)
+            if item.chunks is not None:
+                item.id.get_num_chunks()
+        return wrong
 
     with h5py.File(path, "r") as file:
         return _attributes(file) or file.visititems(visit) or ""
@@ -142,14 +148,6 @@ def _attributes(item: Any) -> str | None:
             raise
         except Exception:
             continue
-    return None
-
-
-def _storage(item: Any) -> str | None:
-    if hasattr(item, "shape"):
-        _ = item.shape, item.dtype, item.chunks, item.compression, item.fillvalue, item.is_virtual, item.external
-        if item.chunks is not None:
-            item.id.get_num_chunks()
     return None
 
 

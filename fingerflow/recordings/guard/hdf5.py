@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.child_process import check_in_child_process
@@ -25,6 +26,16 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
     check_in_child_process(path, "hdf5")
     with reading(path, KIND):
         return h5py.File(path, "r", **options)
+
+
+def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:
+    """Return an attribute of one number, None without it; raise FingerflowError if it is anything else."""
+    if name not in item.attrs:
+        return None
+    value = np.asarray(item.attrs[name])
+    if value.size != 1 or value.dtype.kind not in "iuf":
+        raise FingerflowError(f"{path}: attribute {name} of {item.name} is {value!r}; it should be one number")
+    return float(value.item())
 
 
 def stored_whole(values: h5py.Dataset, path: Path) -> None:

@@ -12,7 +12,7 @@ import xarray as xr
 from fingerflow import process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.recordings.frames.npy import NpyRecording
+from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.results.result import load_result, save_result
 from fingerflow.results.tables import export_table
 from fingerflow.schema.scene import Scene
@@ -82,7 +82,7 @@ def test_a_last_frame_beyond_the_end_is_said(changed: Change) -> None:
 def test_no_frame_is_no_recording(changed: Change, frames: Array, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FingerflowError, match=r"frames\.npy: its array is \(0, 96, 240\)"):
         process(changed(frames=frames[:0]), AREAS)
-    monkeypatch.setattr(NpyRecording, "__len__", lambda _: 0)  # of another format: a video may hold no frame
+    monkeypatch.setattr(FileRecording, "__len__", lambda _: 0)  # of another format: a video may hold no frame
     with pytest.raises(FingerflowError, match=r"frames\.npy has no frame"):
         process(changed(), AREAS)
 
