@@ -6,7 +6,6 @@
 #include "skin_chain_press.h"
 
 #include "skin_press.h"
-#include "skin_press_back.h"
 #include "skin_press_forces.h"
 #include "skin_press_newton.h"
 
@@ -132,7 +131,6 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
             const double growth = quarters(error[lane]);
             if (growth < 1 || step[lane] == next[lane]) next[lane] = step[lane] * growth;
             if (error[lane] <= 1) {
-                record(first + lane, lane, steps[lane], time[lane], step[lane]);
                 time[lane] += step[lane];
                 ++steps[lane];
                 if (time[lane] >= duration * (1 - 1e-12)) {
@@ -174,29 +172,6 @@ inline double Press<T>::quarters(double error) {
     return growth;
 }
 
-// Records an accepted step: time, length, then positions, bone and friction of both stages.
-template <class T>
-inline void Press<T>::record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const {
-    if (given.record == nullptr || number >= given.record_steps) return;
-    double* to = given.record + (chain * given.record_steps + number) * (2 + 2 * (3 * count + 2));
-    *to++ = time;
-    *to++ = step;
-    to = written(to, lane, middle, rubbed_middle);
-    written(to, lane, end, rubbed_end);
-}
-
-template <class T>
-inline double* Press<T>::written(double* to, int lane, const Body<T>& body, const T* rub) const {
-    for (std::int64_t i = 0; i < count; ++i) {
-        *to++ = Of<T>::at(body.at[i].x, lane);
-        *to++ = Of<T>::at(body.at[i].z, lane);
-    }
-    *to++ = Of<T>::at(body.bone.x, lane);
-    *to++ = Of<T>::at(body.bone.z, lane);
-    for (std::int64_t i = 0; i < count; ++i) *to++ = Of<T>::at(rub[i], lane);
-    return to;
-}
-
 template <class T>
 void press_group(const fingerflow_skin_chain& given, std::int64_t first, std::int64_t chains, void* memory) {
     Press<T>(given, static_cast<char*>(memory)).run(first, chains);
@@ -217,21 +192,6 @@ void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int
     }
 #endif
     press_group<double>(given, first, chains, memory);
-}
-
-void press_skin_back(const fingerflow_skin_back& given, std::int64_t chain, void* memory) {
-    fingerflow_skin_chain of{};
-    of.reference = given.reference;
-    of.numbers = given.numbers;
-    of.friction = given.friction;
-    of.place = const_cast<double*>(given.place);
-    of.bone = const_cast<double*>(given.bone);
-    of.rubbed = const_cast<double*>(given.rubbed);
-    of.batch = given.batch;
-    of.count = given.count;
-    of.held_x = given.held_x;
-    of.held_z = given.held_z;
-    Press<double>(of, static_cast<char*>(memory)).back(given, chain);
 }
 
 }  // namespace FINGERFLOW_ISA
