@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.models.skin_forces import Array, Chain, elastic_forces, friction
+from fingerflow.models.friction import Friction, dahl_friction
+from fingerflow.models.skin_forces import Array, Chain, elastic_forces
 from fingerflow.models.skin_solve import Arrow
 
 GAMMA = 2 - np.sqrt(2.0)
@@ -157,9 +158,14 @@ def _newton(
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.
     """
+
+    def slid(nodes: Array) -> Friction:
+        steep = mu * chain.contact
+        return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
+
     nodes = guess
     for _ in range(MOST_ITERATIONS):
-        rubbing = friction(chain, mu, rubbed, origin[:-1], nodes[:-1])
+        rubbing = slid(nodes)
         forces = elastic_forces(chain, nodes)
         forces[:-1, 0] -= rubbing.force
         forces[-1] += load
@@ -172,5 +178,5 @@ def _newton(
         if not most < 1.0:  # m
             return None
         if most <= NEWTON * tolerance:
-            return nodes, friction(chain, mu, rubbed, origin[:-1], nodes[:-1]).force, arrow
+            return nodes, slid(nodes).force, arrow
     return None

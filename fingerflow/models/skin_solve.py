@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from fingerflow.models.skin_forces import Array, Chain, Friction, tissue_slopes
+from fingerflow.models.friction import Friction
+from fingerflow.models.skin_forces import Array, Chain, tissue_slopes
 
 
 class Arrow:
