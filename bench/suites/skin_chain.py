@@ -1,9 +1,9 @@
 """The skin chain: 50 ms of a press of 3 N at mu = 0.6, 501 elements, the lab's parameters (41 and 5 ms with --quick).
 
 `error_um` is the largest error of a place at the end against steps of a tolerance 1,000 times smaller. Ways: TR-BDF2 of
-`models.skin_chain`, compiled and portable, at several tolerances in m; one press and 100 values of friction together, to
-rest; and SciPy's explicit Runge-Kutta of order 5 with step control on equations 5 and 7, in place of the published one
-of order 4 with a fixed step. `time_to_peer` is the time over that of one press to rest. What runs once is CPU time of
+`models.skin_chain`, compiled and portable, at several tolerances in m; one press and 100 values of friction, to rest;
+and SciPy's explicit Runge-Kutta of order 5 with step control on equations 5 and 7, in place of the published one of
+order 4 with a fixed step. `time_to_peer` is the time over that of one press to rest. What runs once is CPU time of
 its process.
 """
 
