@@ -143,8 +143,8 @@ def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[
         strips = (edges.shape[-1] if edges.ndim else 1) - 1
         if not load.ndim or load.shape[-1] != strips or not strips:
             raise ValueError(
-                f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give one value a strip, {strips} in the last "
-                "dimension"
+                f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give one value a strip, {strips} in the "
+                "last dimension"
             )
         if not bool(load.isfinite().all()):
             raise ValueError(f"{name} has a value that is not finite: leave the frames out that are not known")
