@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from slip_trials import simulate_trial
 
 from fingerflow.models.partial_slip import compare_curves, fit_friction, load_ratio, stuck_area
 from fingerflow.models.partial_slip.curve_families import PARTIAL_SLIP
 from fingerflow.models.partial_slip.fit import fit_family
+from tests.slip_trials import simulate_trial
 
 
 def loading(

@@ -4,10 +4,10 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from slip_trials import SimulatedTrial, simulate_trial
 
 from fingerflow.models.partial_slip import TrialVerdict, fit_friction, judge_trial, stuck_area
 from fingerflow.models.partial_slip.verdict import FADING_AREA
+from tests.slip_trials import SimulatedTrial, simulate_trial
 
 
 def judged(trial: SimulatedTrial) -> TrialVerdict:
