@@ -1,4 +1,4 @@
-"""Discrimination of correct and incorrect trials by a metric: d', area under the ROC, and slope of the z-ROC."""
+"""Discrimination of correct and incorrect trials by a metric: d', area under the ROC, and criterion."""
 
 import math
 from collections.abc import Callable
@@ -67,27 +67,6 @@ def auc(
     return _estimate(
         (correct, incorrect), lambda values: auc_statistic(*values), 1, participants, level, resamples, seed
     )
-
-
-def z_roc_slope(
-    correct: ArrayLike,
-    incorrect: ArrayLike,
-    *,
-    participants: Participants = None,
-    level: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> Estimate:
-    """Estimate the slope of the ROC in normal deviates, z(hits) against z(false alarms), for Gaussians: s_2 / s_1.
-
-    It is 1 for equal variances. Otherwise d' averages unequal spreads, and no single number describes the ROC.
-    Arguments and errors as in `d_prime`.
-    """
-
-    def of(values: list[Values]) -> Statistic:
-        return lambda first, second: deviation(values[1], second) / deviation(values[0], first)
-
-    return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
 
 
 def criterion_for_hits(
