@@ -1,9 +1,9 @@
 """Ideal observer: how well a trial's metric predicts what participants felt (Willemet et al. 2021, supplement)."""
 
-from fingerflow.models.observer.contrast import PermutationTest, compare_auc, permutation_test
-from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime
+from fingerflow.models.observer.discrimination import auc, compare_auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
 from fingerflow.models.observer.groups import Groups, participant_groups
+from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.psychometric import PsychometricFit, fit_psychometric
 from fingerflow.models.observer.relations import (

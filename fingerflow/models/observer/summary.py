@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict
 
-from fingerflow.models.observer.contrast import PermutationTest, permutation_test
 from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
+from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
