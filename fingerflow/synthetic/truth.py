@@ -187,11 +187,7 @@ class Truth:
         """
         points = _points(material)
         onset, place = self._onset(points)
-        begun, _ = self._derivatives(place, onset)
-        progress = self._at(frame).expand(onset.shape)
-        now, _ = self._derivatives(self._forward(points, progress, points), progress)
-        gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
-        return torch.where((onset <= progress)[..., None, None], gradient, math.nan).numpy()
+        return self._gradient_from(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
         """Return medians over a square grid of positions in the apparent contact of a frame.
@@ -242,13 +238,8 @@ class Truth:
     def _gradient(
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
     ) -> Tensor:
-        progress = self._at(frame).expand(onset.shape)
         if reference is not None:
-            then = self._at(reference).expand(onset.shape)
-            begun, _ = self._derivatives(self._forward(points, then, points), then)
-            now, _ = self._derivatives(self._forward(points, progress, points), progress)
-            gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
-            return torch.where((onset <= progress)[..., None, None], gradient, math.nan)
+            return self._gradient_from(points, frame, onset, self._deformation(points, reference))
         forward, velocity = self._derivatives(place, onset)
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate
@@ -256,10 +247,18 @@ class Truth:
         # Points inside at the start have their onset at progress 0, and so have their neighbours.
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
-        now, _ = self._derivatives(self._forward(points, progress, points), progress)
-        gradient = now @ _inverse(place_gradient) - torch.eye(2, dtype=torch.float64)
-        defined = (onset <= progress) & (_determinant(place_gradient).abs() > 1e-9)
-        return torch.where(defined[..., None, None], gradient, math.nan)
+        gradient = self._gradient_from(points, frame, onset, place_gradient)
+        return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
+
+    def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
+        """Return F(frame) begun^-1 - I (..., 2, 2), with ``begun`` the gradient of the reference; NaN before onset."""
+        gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+        return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
+
+    def _deformation(self, points: Tensor, frame: int) -> Tensor:
+        """Return F (..., 2, 2) of material points in a frame."""
+        progress = self._at(frame).expand(points.shape[:-1])
+        return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         """Return F (..., 2, 2) and the skin's velocity by progress (..., 2) at positions (..., 2)."""

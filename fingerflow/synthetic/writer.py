@@ -148,14 +148,10 @@ def _scene_file(scene: SyntheticScene) -> str:
 
 def _region(scene: SyntheticScene) -> View | None:
     """Return the part of the topography view's first frame whose skin will touch; a stream cannot determine it."""
-    truth, turns = scene.truth, np.linspace(0, 2 * np.pi, 64)
-    edges = []
+    truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
-            along, across = ellipse.semi_axes[0] * np.cos(turns), ellipse.semi_axes[1] * np.sin(turns)
-            cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
-            edge = np.stack((along * cosine - across * sine, along * sine + across * cosine), axis=1) + ellipse.centre
-            skin = truth.material(edge, int(frame))
+            skin = truth.material(ellipse.edge(63), int(frame))
             edges.append(truth.topography_pixels(truth.positions(skin, 0)))
     if not edges:
         return None
