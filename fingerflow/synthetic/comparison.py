@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from fingerflow.ops.tracking.track_points import TrackStatus
 from fingerflow.synthetic import SyntheticScene
 
+Array = NDArray[np.float64]
+
 
 class Comparison(NamedTuple):
     """One quantity: measured and true value in the last frame, and a text with its errors."""
@@ -29,19 +31,10 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     last = scene.n_frames - 1
     rows = []
 
-    def relative(
-        quantity: str, name: str, values: NDArray[np.float64], true: NDArray[np.float64], large: NDArray[np.bool_]
-    ) -> None:
+    def relative(quantity: str, unit: str, values: Array, true: Array, large: NDArray[np.bool_]) -> None:
         error = np.abs(values[large] / true[large] - 1)
-        rows.append(
-            Comparison(
-                quantity,
-                name,
-                values[last],
-                true[last],
-                f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})",
-            )
-        )
+        text = f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})"
+        rows.append(Comparison(quantity, unit, values[last], true[last], text))
 
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
     large = gross > 10
@@ -61,48 +54,27 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         return rows
 
     pixels = result["position_px"].values
-    material = truth.material(truth.topography_positions(pixels[0]), 0)
-    true_pixels = truth.topography_pixels(truth.positions(material, last))
     tracked = result["status"].values[last] == TrackStatus.TRACKED
-    distance = np.linalg.norm(pixels[last] - true_pixels, axis=-1)[tracked]
-    rows.append(
-        Comparison(
-            "position of a point, last frame",
-            "px",
-            float(np.sqrt((distance**2).mean())),
-            0.0,
-            f"{np.sqrt((distance**2).mean()):.4f} RMS, {distance.max():.3f} worst",
-        )
-    )
+    distance = np.linalg.norm(pixels[last] - truth.follow(pixels[0], 0, last), axis=-1)[tracked]
+    root_mean_square = float(np.sqrt((distance**2).mean()))
+    text = f"{root_mean_square:.4f} RMS, {distance.max():.3f} worst"
+    rows.append(Comparison("position of a point, last frame", "px", root_mean_square, 0.0, text))
     if "median_divergence" not in result:
         return rows
     frames = [*looked[::2], last]
     since = result["median_divergence"].attrs.get("reference_frame")
     medians = {i: truth.medians(i, reference=since) for i in frames}
-    true_displacement = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
-    displacement = float(result["global_displacement"].values[last])
-    rows.append(
-        Comparison(
-            "global displacement", "mm", displacement, true_displacement, f"{displacement - true_displacement:+.4f} mm"
-        )
-    )
-    strain = result["median_strain"].values
-    for quantity, measured, true in (
-        ("median divergence", result["median_divergence"].values[frames], [medians[i].divergence for i in frames]),
-        ("median curl", result["median_curl"].values[frames], [medians[i].curl for i in frames]),
-        ("median strain exx", strain[frames, 0], [medians[i].exx for i in frames]),
-        ("median strain eyy", strain[frames, 1], [medians[i].eyy for i in frames]),
-        ("median strain exy", strain[frames, 2], [medians[i].exy for i in frames]),
-    ):
-        error = 1000 * (measured - np.array(true))
+    true = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
+    measured = float(result["global_displacement"].values[last])
+    rows.append(Comparison("global displacement", "mm", measured, true, f"{measured - true:+.4f} mm"))
+    strain = result["median_strain"].values.T
+    series = result["median_divergence"].values, result["median_curl"].values, *strain
+    for quantity, values in zip(("divergence", "curl", "strain exx", "strain eyy", "strain exy"), series, strict=True):
+        exact = np.array([getattr(medians[i], quantity.split()[-1]) for i in frames])
+        error = 1000 * (values[frames] - exact)
+        text = f"{error[-1]:+.2f} (worst frame: {error[np.nanargmax(np.abs(error))]:+.2f})"
         rows.append(
-            Comparison(
-                quantity,
-                "µm/mm",
-                float(1000 * measured[-1]),
-                float(1000 * true[-1]),
-                f"{error[-1]:+.2f} (worst frame: {error[np.nanargmax(np.abs(error))]:+.2f})",
-            )
+            Comparison(f"median {quantity}", "µm/mm", 1000 * float(values[last]), 1000 * float(exact[-1]), text)
         )
     return rows
 
