@@ -46,6 +46,7 @@ from fingerflow.models.skin_motion import Chains, Motion, moved
 from fingerflow.models.skin_parameters import Number, SkinParameters, named
 
 Friction = float | Tensor | Callable[[float, Tensor], Tensor]
+Loads = tuple[Number | None, ...]  # load_n, tangential_n, indentation_m and slide_m of `press`
 TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
 CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
 REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
@@ -118,8 +119,9 @@ def press(
             requires a gradient.
         RuntimeError: no step length meets the tolerance.
     """
-    chains, start = _begun(friction, parameters, elements, load_n, tangential_n, indentation_m, slide_m)
-    ends, held = _loads(chains.shape, load_n, tangential_n, indentation_m, slide_m)
+    given = load_n, tangential_n, indentation_m, slide_m
+    chains, start = _begun(friction, parameters, elements, given)
+    ends, held = _loads(chains.shape, given)
     coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
     # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
     if any(held):
@@ -151,16 +153,13 @@ def follow(
     if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
         raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
     traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
-    at: dict[str, Tensor | None] = {name: _trace(name, value, len(time)) for name, value in traces.items()}
-
-    def given(k: int) -> tuple[Tensor | None, ...]:
-        return tuple(None if value is None else value[k] for value in at.values())
-
-    chains, state = _begun(friction, parameters, elements, *given(0))  # type: ignore[arg-type]
+    at = [_trace(name, value, len(time)) for name, value in traces.items()]
+    given = [tuple(None if trace is None else trace[k] for trace in at) for k in range(len(time))]
+    chains, state = _begun(friction, parameters, elements, given[0])
     found = []
-    before, held = _loads(chains.shape, *given(0))  # type: ignore[arg-type]
+    before, held = _loads(chains.shape, given[0])
     for k in range(len(time)):
-        after, _ = _loads(chains.shape, *given(k))  # type: ignore[arg-type]
+        after, _ = _loads(chains.shape, given[k])
         coefficient = _coefficient(friction, float(time[k]), state.place[..., 0], chains.shape)
         if k:
             loads = torch.stack((before, after), -2)
@@ -170,19 +169,11 @@ def follow(
     return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
-def _begun(
-    friction: Friction,
-    parameters: str | SkinParameters,
-    elements: int,
-    load_n: Number,
-    tangential_n: Number,
-    indentation_m: Number | None,
-    slide_m: Number | None,
-) -> tuple[Chains, Motion]:
+def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
     """Return the chains of all parameter sets and their undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
-    given = [load_n, tangential_n, indentation_m, slide_m, *([] if callable(friction) else [friction])]
+    given = [*loads, *([] if callable(friction) else [friction])]
     of = named(parameters)
     numbers = [getattr(of, field.name) for field in fields(of)]
     tensors = [torch.as_tensor(value) for value in (*given, *numbers) if value is not None]
@@ -191,14 +182,9 @@ def _begun(
     return chains, chains.undeformed()
 
 
-def _loads(
-    shape: torch.Size,
-    load_n: Number,
-    tangential_n: Number,
-    indentation_m: Number | None,
-    slide_m: Number | None,
-) -> tuple[Tensor, tuple[bool, bool]]:
+def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
     """Return the loads (..., 2) along x and z, and for each direction whether it is a prescribed motion."""
+    load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m
     both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]

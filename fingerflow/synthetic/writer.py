@@ -54,7 +54,7 @@ def write_recording(folder: Path, scene: SyntheticScene) -> None:
         raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
     unfinished = hidden(folder)
     try:
-        _make(unfinished)
+        unfinished.mkdir(parents=True)
         _write_frames(unfinished / "frames.npy", scene)
         for name, picture in (("empty", scene.empty), ("dark", scene.dark)):
             mean = np.mean([picture(number) for number in range(REFERENCE_PICTURES)], axis=0, dtype=np.float64)
@@ -91,15 +91,6 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
             "needed"
         )
     return scene
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise FingerflowError(
-            f"{folder.parent} does not take a new folder ({error.strerror}); name another place"
-        ) from error
 
 
 def _write_frames(path: Path, scene: SyntheticScene) -> None:
