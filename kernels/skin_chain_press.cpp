@@ -33,7 +33,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
     Pair<T> load_first, load_change;
     T rest;
     double time[kLanes] = {}, step[kLanes], next[kLanes], tolerance[kLanes], error[kLanes];
-    std::int64_t steps[kLanes] = {}, rejected[kLanes] = {}, iterations[kLanes] = {};
+    std::int64_t steps[kLanes] = {}, rejected[kLanes] = {};
     bool live[kLanes], go_on[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
         const std::int64_t chain = chain_of(first, lane);
@@ -74,7 +74,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         known.bone = start.bone + c * start_speed.bone;
         end.bone = start.bone + gone * start_speed.bone;
-        newton(start, rubbed, rubbed_middle, load_first + (begin + kGamma * share) * load_change, tolerance, go_on, iterations);
+        newton(start, rubbed, rubbed_middle, load_first + (begin + kGamma * share) * load_change, tolerance, go_on);
         const T per_c = 1.0 / c;
         for (std::int64_t i = 0; i < count; ++i) {
             middle.at[i] = end.at[i];
@@ -90,7 +90,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         known.bone = all<T>(kLater) * middle.bone - all<T>(kEarlier) * start.bone;
         end.bone = middle.bone + to_go * middle_speed.bone;
-        newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on, iterations);
+        newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on);
         // The error estimate; `guess` holds the velocity at the end.
         const auto estimate = [&](Pair<T> one, Pair<T> two, Pair<T> three) {
             return all<T>(1 / kGamma) * one - all<T>(1 / (kGamma * (1 - kGamma))) * two + all<T>(1 / (1 - kGamma)) * three;
@@ -155,9 +155,8 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         const std::int64_t chain = first + lane;
         given.step[chain] = next[lane];
         given.time[chain] = time[lane];
-        given.counts[3 * chain] = steps[lane];
-        given.counts[3 * chain + 1] = rejected[lane];
-        given.counts[3 * chain + 2] = iterations[lane];
+        given.counts[2 * chain] = steps[lane];
+        given.counts[2 * chain + 1] = rejected[lane];
     }
 }
 

@@ -137,8 +137,7 @@ struct Press {
     void substitute(Pair<T> by, Gone gone) const;
     Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const;
     T solved(const Body<T>& side);
-    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
-                std::int64_t* iterations);
+    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on);
 
     // Steps: skin_chain_press.cpp.
     T unbalanced(Pair<T> load);

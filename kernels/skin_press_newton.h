@@ -161,8 +161,7 @@ inline T Press<T>::solved(const Body<T>& side) {
 // Solves damping (X - known) = c forces(X), starting at `end`, which becomes X, and writes the Dahl friction `after`
 // the slide from `from`. Lanes without convergence are cleared in `go_on`.
 template <class T>
-inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
-                             std::int64_t* iterations) {
+inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on) {
     bool busy[kLanes];
     Mask going{};
     bool whole = true;
@@ -175,7 +174,6 @@ inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pai
         bool more = false;
         for (int lane = 0; lane < kLanes; ++lane) {
             if (!busy[lane]) continue;
-            ++iterations[lane];
             const double by = Of<T>::at(most, lane), bone = Of<T>::at(bone_gone.z, lane);
             const bool lost = !(by < 1.0) || bone != bone || iteration + 1 == kMostIterations;  // m
             if (by <= tolerance[lane]) busy[lane] = false;

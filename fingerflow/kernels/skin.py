@@ -32,7 +32,7 @@ def press_skin(
     `step` (B,) is changed in place.
 
     Returns:
-        Time (B,), and counts (B, 3) int64 of steps, rejected ones and iterations.
+        Time (B,), and counts (B, 2) int64 of steps and rejected ones.
 
     Raises:
         ValueError: wrong dtype, or inconsistent shapes.
@@ -47,7 +47,7 @@ def press_skin(
         check_like(name, (given | changed)[name], "float64", shape)
     if count < 3 or not all(may_be_written(array) for array in changed.values()):
         raise ValueError(f"a chain of {count} elements: give 3 or more, and a state in one piece")
-    time, counts = zeros(step, "float64", batch), zeros(step, "int64", batch, 3)
+    time, counts = zeros(step, "float64", batch), zeros(step, "int64", batch, 2)
     entry("press_skin")(
         **{name: in_one_piece(tensor) for name, tensor in given.items()},
         **changed,

@@ -129,7 +129,7 @@ def moved(
             place[k], bone[k], rubbed[k] = nodes[:-1], nodes[-1], torch.from_numpy(state.friction)
             step[k], counts[k] = state.step, torch.tensor([state.steps, state.rejected])
     steps = counts[:, 0]
-    lost = (step < SHORTEST_S) | (counts[:, :2].sum(-1) >= MOST_STEPS)
+    lost = (step < SHORTEST_S) | (counts.sum(-1) >= MOST_STEPS)
     if bool(lost.any()):
         k = int(lost.nonzero()[0])
         raise RuntimeError(

@@ -227,7 +227,7 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
         numbers.insert(numbers.end(), {8e-3, 2500, 200, 110, 2500, 31000, 0.1, 0.1, 500, 0.7});
     const auto size = static_cast<std::size_t>(batch);
     std::vector<double> bone(2 * size), rubbed(mu.size()), step(size, 1e-6), time(size);
-    std::vector<std::int64_t> counts(3 * size);
+    std::vector<std::int64_t> counts(2 * size);
     const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
                                       rubbed.data(), step.data(), time.data(), counts.data(), batch, count, 0, 0, 100000, 1e-6, 5e-4};
     fingerflow_press_skin(&given, threads);
