@@ -28,8 +28,6 @@ inline Pair<T> operator-(Pair<T> a, Pair<T> b) { return {a.x - b.x, a.z - b.z}; 
 template <class T>
 inline Pair<T> operator*(T a, Pair<T> b) { return {a * b.x, a * b.z}; }
 template <class T>
-inline Pair<T> operator*(Symmetric<T> a, Pair<T> b) { return {a.xx * b.x + a.xz * b.z, a.xz * b.x + a.zz * b.z}; }
-template <class T>
 inline Pair<T> operator*(Block<T> a, Pair<T> b) { return {a.xx * b.x + a.xz * b.z, a.zx * b.x + a.zz * b.z}; }
 template <class T>
 inline Block<T> operator*(Block<T> a, Block<T> b) {

@@ -6,7 +6,6 @@
 #include "skin_chain_press.h"
 
 #include "skin_press.h"
-#include "skin_press_back.h"
 #include "skin_press_forces.h"
 #include "skin_press_newton.h"
 
@@ -34,7 +33,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
     Pair<T> load_first, load_change;
     T rest;
     double time[kLanes] = {}, step[kLanes], next[kLanes], tolerance[kLanes], error[kLanes];
-    std::int64_t steps[kLanes] = {}, rejected[kLanes] = {}, iterations[kLanes] = {};
+    std::int64_t steps[kLanes] = {}, rejected[kLanes] = {};
     bool live[kLanes], go_on[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
         const std::int64_t chain = chain_of(first, lane);
@@ -75,7 +74,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         known.bone = start.bone + c * start_speed.bone;
         end.bone = start.bone + gone * start_speed.bone;
-        newton(start, rubbed, rubbed_middle, load_first + (begin + kGamma * share) * load_change, tolerance, go_on, iterations);
+        newton(start, rubbed, rubbed_middle, load_first + (begin + kGamma * share) * load_change, tolerance, go_on);
         const T per_c = 1.0 / c;
         for (std::int64_t i = 0; i < count; ++i) {
             middle.at[i] = end.at[i];
@@ -91,7 +90,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         known.bone = all<T>(kLater) * middle.bone - all<T>(kEarlier) * start.bone;
         end.bone = middle.bone + to_go * middle_speed.bone;
-        newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on, iterations);
+        newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on);
         // The error estimate; `guess` holds the velocity at the end.
         const auto estimate = [&](Pair<T> one, Pair<T> two, Pair<T> three) {
             return all<T>(1 / kGamma) * one - all<T>(1 / (kGamma * (1 - kGamma))) * two + all<T>(1 / (1 - kGamma)) * three;
@@ -132,7 +131,6 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
             const double growth = quarters(error[lane]);
             if (growth < 1 || step[lane] == next[lane]) next[lane] = step[lane] * growth;
             if (error[lane] <= 1) {
-                record(first + lane, lane, steps[lane], time[lane], step[lane]);
                 time[lane] += step[lane];
                 ++steps[lane];
                 if (time[lane] >= duration * (1 - 1e-12)) {
@@ -157,9 +155,8 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         const std::int64_t chain = first + lane;
         given.step[chain] = next[lane];
         given.time[chain] = time[lane];
-        given.counts[3 * chain] = steps[lane];
-        given.counts[3 * chain + 1] = rejected[lane];
-        given.counts[3 * chain + 2] = iterations[lane];
+        given.counts[2 * chain] = steps[lane];
+        given.counts[2 * chain + 1] = rejected[lane];
     }
 }
 
@@ -172,29 +169,6 @@ inline double Press<T>::quarters(double error) {
     for (double k = 0; k < wanted && k < 4; ++k) growth *= root;
     for (double k = 0; k > wanted && k > -7; --k) growth /= root;
     return growth;
-}
-
-// Records an accepted step: time, length, then positions, bone and friction of both stages.
-template <class T>
-inline void Press<T>::record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const {
-    if (given.record == nullptr || number >= given.record_steps) return;
-    double* to = given.record + (chain * given.record_steps + number) * (2 + 2 * (3 * count + 2));
-    *to++ = time;
-    *to++ = step;
-    to = written(to, lane, middle, rubbed_middle);
-    written(to, lane, end, rubbed_end);
-}
-
-template <class T>
-inline double* Press<T>::written(double* to, int lane, const Body<T>& body, const T* rub) const {
-    for (std::int64_t i = 0; i < count; ++i) {
-        *to++ = Of<T>::at(body.at[i].x, lane);
-        *to++ = Of<T>::at(body.at[i].z, lane);
-    }
-    *to++ = Of<T>::at(body.bone.x, lane);
-    *to++ = Of<T>::at(body.bone.z, lane);
-    for (std::int64_t i = 0; i < count; ++i) *to++ = Of<T>::at(rub[i], lane);
-    return to;
 }
 
 template <class T>
@@ -217,21 +191,6 @@ void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int
     }
 #endif
     press_group<double>(given, first, chains, memory);
-}
-
-void press_skin_back(const fingerflow_skin_back& given, std::int64_t chain, void* memory) {
-    fingerflow_skin_chain of{};
-    of.reference = given.reference;
-    of.numbers = given.numbers;
-    of.friction = given.friction;
-    of.place = const_cast<double*>(given.place);
-    of.bone = const_cast<double*>(given.bone);
-    of.rubbed = const_cast<double*>(given.rubbed);
-    of.batch = given.batch;
-    of.count = given.count;
-    of.held_x = given.held_x;
-    of.held_z = given.held_z;
-    Press<double>(of, static_cast<char*>(memory)).back(given, chain);
 }
 
 }  // namespace FINGERFLOW_ISA

@@ -18,8 +18,6 @@ FINGERFLOW_FOR_EACH_SET(
     SkinGroup skin_group(std::int64_t count, std::int64_t batch);
     // Presses chains `first` to `first + chains - 1`, fewer at the end of the batch.
     void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int64_t chains, void* memory);
-    // Derivatives of one chain, with memory for a batch of 1.
-    void press_skin_back(const fingerflow_skin_back& given, std::int64_t chain, void* memory);
 )
 // clang-format on
 

@@ -108,10 +108,9 @@ struct Press {
     };
     Held held_at(const Body<T>& body, std::int64_t i) const;
     Pair<T> drawn(const Body<T>& body, std::int64_t i) const;
-    // Dahl friction force of an element after a slide and its derivatives by: position along and above the plate, force
-    // before, height it slid from, mu k_c and sigma_0. The derivative by the position it slid from is minus the first.
+    // Dahl friction force of an element after a slide, and its derivatives by the position along and above the plate.
     struct Rubbed {
-        T force, along, above, before, from_above, steep, spring;
+        T force, along, above;
     };
     Rubbed rub(std::int64_t i, Pair<T> from, Pair<T> to, T before) const;
     static bool any(bool mask) { return mask; }
@@ -133,27 +132,17 @@ struct Press {
     Row assembled(const Body<T>& from, const T* before, std::int64_t i, Pair<T>& held, Block<T>& whole) const;
     void follow(Row& row, const Row& before, T joined) const;
     void finish(Row& row, std::int64_t i, Mask here, bool whole);
-    template <class Make, class Side, class Gone>
-    Pair<T> sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone);
     T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole);
+    template <class Gone>
+    void substitute(Pair<T> by, Gone gone) const;
     Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const;
     T solved(const Body<T>& side);
-    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
-                std::int64_t* iterations);
+    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on);
 
     // Steps: skin_chain_press.cpp.
     T unbalanced(Pair<T> load);
     void run(std::int64_t first, std::int64_t chains);
     static double quarters(double error);
-    void record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const;
-    double* written(double* to, int lane, const Body<T>& body, const T* rub) const;
-
-    // Derivatives: skin_press_back.h.
-    void back(const fingerflow_skin_back& asked, std::int64_t chain);
-    void read(Body<T>& body, T* rub, const double* from) const;
-    static Body<T> swapped(Body<T> one, Body<T>& other);
-    void through(const Body<T>& from, const T* before, double* stiffness, double* of_mu);
-    void by_stiffness(const Body<T>& along, double times, double* stiffness) const;
 
     void hold(Pair<T>& value, Pair<T> by) const {
         if (held_x) value.x = by.x;

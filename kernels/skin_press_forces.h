@@ -54,7 +54,7 @@ inline typename Press<T>::Rubbed Press<T>::rub(std::int64_t i, Pair<T> from, Pai
     const T steep = mu[i] * contact, deep = greater(-to.z, none), was_deep = greater(-from.z, none);
     const T last = steep * deep, mean = 0.5 * (last + steep * was_deep);
     const auto active = (mean > none) & (to.z < none);
-    if (!any(active)) return {none, none, none, none, none, none, none};
+    if (!any(active)) return {none, none, none};
     const T limit = pick(active, mean, all<T>(1.0)), slid = to.x - from.x;
     const T sign = pick(slid < none, all<T>(-1.0), all<T>(1.0));
     const T held = lesser(greater(before, -limit), limit);
@@ -72,19 +72,14 @@ inline typename Press<T>::Rubbed Press<T>::rub(std::int64_t i, Pair<T> from, Pai
     const T kept = pick(some, exponential(log_kept), none);
     const T rest = pick(some, exponential(log_kept * exponent), none);
     const T after = pick(done, sign * limit, held + sign * limit * left * (1.0 - kept));
-    const auto uncut = held == before;
-    const T of_left = pick(uncut, sign * held / (limit * limit), none);
+    const T of_left = pick(held == before, sign * held / (limit * limit), none);
     const T of_limit = pick(done, sign, sign * (1.0 - left * kept) -
                                             sign * limit * (rest * of_left + left * rest * distance / limit));
     const auto over = magnitude(after) > last, still = done | over | !active;
     const T end_sign = pick(after < none, all<T>(-1.0), all<T>(1.0));
     return {pick(active, lesser(greater(after, -last), last), none),
             pick(still, none, spring * left_power * rest),
-            pick(active, pick(over, -end_sign * steep, -0.5 * of_limit * steep), none),
-            pick(still | !uncut, none, rest),
-            pick((from.z < none) & active & !over, -0.5 * of_limit * steep, none),
-            pick(active, pick(over, end_sign * deep, 0.5 * of_limit * (deep + was_deep)), none),
-            pick(still, none, left_power * rest * slid)};
+            pick(active, pick(over, -end_sign * steep, -0.5 * of_limit * steep), none)};
 }
 
 }  // namespace

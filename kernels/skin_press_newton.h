@@ -49,11 +49,10 @@ inline void Press<T>::finish(Row& row, std::int64_t i, Mask here, bool whole) {
     }
 }
 
-// Makes the rows one by one and eliminates them from both ends; solves for the bone, then calls gone(i, motion) for
-// each element. Keeps the factored matrix for `solved` in the lanes `here`. Returns the bone's motion.
+// One Newton step from `end`, taken in the lanes `here`: makes the rows one by one, eliminates them from both ends and
+// solves for the bone. Keeps the factored matrix for `solved` in these lanes. Returns the greatest motion.
 template <class T>
-template <class Make, class Side, class Gone>
-inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone) {
+inline T Press<T>::newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
     const std::int64_t centre = count / 2;
     const T joined = -c * membrane, none = all<T>(0);
     Block<T> of{bone_damping, none, none, bone_damping};
@@ -62,12 +61,12 @@ inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair
     Row left{}, right{};
     for (std::int64_t i = 0; i < centre; ++i) {
         const std::int64_t j = count - 1 - i;
-        Row row = make(i, held, slope);
+        Row row = assembled(from, before, i, held, slope);
         if (i) follow(row, left, joined);
         finish(row, i, here, whole);
         left = row;
         if (j > centre) {
-            row = make(j, other_held, other_slope);
+            row = assembled(from, before, j, other_held, other_slope);
             if (i) follow(row, right, joined);
             finish(row, j, here, whole);
             right = row;
@@ -80,7 +79,7 @@ inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair
             bone = bone + left.to_bone * left.swept;
         }
     }
-    Row row = make(centre, held, slope);
+    Row row = assembled(from, before, centre, held, slope);
     const Row sum{left.undone + right.undone, left.from_bone + right.from_bone,
                   left.to_bone * left.undone + right.to_bone * right.undone, left.swept + right.swept};
     row.undone = row.undone - (joined * joined) * sum.undone;
@@ -93,8 +92,27 @@ inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair
     if (whole) bone_block = of;
     else take(here, bone_block, of);
 
-    const Pair<T> by = bone_motion(of, side(on_bone + held) - bone, motion);
-    Pair<T> last = row.swept - row.from_bone * by, other = last;
+    on_bone = on_bone + held;
+    const Pair<T> off = known.bone - end.bone;
+    const Pair<T> side{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
+    bone_gone = bone_motion(of, side - bone, load - end.bone);
+    T most = farthest(none, bone_gone);
+    substitute(bone_gone, [&](std::int64_t i, Pair<T> moved) {
+        most = farthest(most, moved);
+        if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
+        else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
+    });
+    end.bone = end.bone + Pair<T>{pick(here, bone_gone.x, none), pick(here, bone_gone.z, none)};
+    return most;
+}
+
+// Substitutes the bone's motion back from the centre outwards and calls gone(i, motion) for each element.
+template <class T>
+template <class Gone>
+inline void Press<T>::substitute(Pair<T> by, Gone gone) const {
+    const std::int64_t centre = count / 2;
+    const T joined = -c * membrane;
+    Pair<T> last = swept[centre] - from_bone[centre] * by, other = last;
     gone(centre, last);
     for (std::int64_t i = centre - 1; i >= 0; --i) {
         const std::int64_t j = count - 1 - i;
@@ -105,27 +123,6 @@ inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair
             gone(j, other);
         }
     }
-    return by;
-}
-
-// One Newton step from `end`, taken in the lanes `here`. Returns the greatest motion.
-template <class T>
-inline T Press<T>::newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
-    const T none = all<T>(0);
-    T most = none;
-    const auto make = [&](std::int64_t i, Pair<T>& held, Block<T>& slope) { return assembled(from, before, i, held, slope); };
-    const auto side = [&](Pair<T> on_bone) {
-        const Pair<T> off = known.bone - end.bone;
-        return Pair<T>{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
-    };
-    const auto gone = [&](std::int64_t i, Pair<T> moved) {
-        most = farthest(most, moved);
-        if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
-        else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
-    };
-    bone_gone = sweep(here, whole, make, side, load - end.bone, gone);
-    end.bone = end.bone + Pair<T>{pick(here, bone_gone.x, none), pick(here, bone_gone.z, none)};
-    return farthest(most, bone_gone);
 }
 
 template <class T>
@@ -157,25 +154,14 @@ inline T Press<T>::solved(const Body<T>& side) {
     swept[centre] = undone[centre] * (side.at[centre] - joined * (swept[centre - 1] + swept[centre + 1]));
     const Pair<T> by = bone_motion(bone_block, side.bone - (bone + to_bone[centre] * swept[centre]), side.bone);
     T most = farthest(none, by);
-    Pair<T> last = swept[centre] - from_bone[centre] * by, other = last;
-    most = farthest(most, last);
-    for (std::int64_t i = centre - 1; i >= 0; --i) {
-        const std::int64_t j = count - 1 - i;
-        last = swept[i] - from_bone[i] * by - joined * (undone[i] * last);
-        most = farthest(most, last);
-        if (j > centre) {
-            other = swept[j] - from_bone[j] * by - joined * (undone[j] * other);
-            most = farthest(most, other);
-        }
-    }
+    substitute(by, [&](std::int64_t, Pair<T> moved) { most = farthest(most, moved); });
     return most;
 }
 
 // Solves damping (X - known) = c forces(X), starting at `end`, which becomes X, and writes the Dahl friction `after`
 // the slide from `from`. Lanes without convergence are cleared in `go_on`.
 template <class T>
-inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
-                             std::int64_t* iterations) {
+inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on) {
     bool busy[kLanes];
     Mask going{};
     bool whole = true;
@@ -188,7 +174,6 @@ inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pai
         bool more = false;
         for (int lane = 0; lane < kLanes; ++lane) {
             if (!busy[lane]) continue;
-            ++iterations[lane];
             const double by = Of<T>::at(most, lane), bone = Of<T>::at(bone_gone.z, lane);
             const bool lost = !(by < 1.0) || bone != bone || iteration + 1 == kMostIterations;  // m
             if (by <= tolerance[lane]) busy[lane] = false;

@@ -363,26 +363,13 @@ void fingerflow_flow_warp(const float* coefficients, const float* flow, float* v
 // Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
 // count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
 // and z, or where it is held the bone's displacement, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
-// (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 3) of steps,
-// of those not kept, and of solutions. Record (batch, record_steps, 2 + 2 (3 count + 2)) or null takes the kept steps:
-// time, length, and of both stages places, bone and friction. At least three elements.
+// (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 2) of steps
+// and of those not kept. At least three elements.
 struct fingerflow_skin_chain {
     const double *reference, *numbers, *friction, *load, *rest;
     double *place, *bone, *rubbed, *step, *time;
     std::int64_t* counts;
-    double* record;
-    std::int64_t batch, count, held_x, held_z, most_steps, record_steps;
+    std::int64_t batch, count, held_x, held_z, most_steps;
     double tolerance, duration;
 };
 void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);
-
-// Derivatives back along a record of the above, as fingerflow/models/skin_adjoint.py has them: begun at place, bone and
-// rubbed, steps (batch) of the record; wanted and result (batch, 3 count + 2) of places, bone and friction at its end and at
-// its beginning, stiffness (batch, 6) and of_friction (batch, count).
-struct fingerflow_skin_back {
-    const double *reference, *numbers, *friction, *place, *bone, *rubbed, *record, *wanted;
-    const std::int64_t* steps;
-    double *stiffness, *of_friction, *result;
-    std::int64_t batch, count, held_x, held_z, record_steps;
-};
-void fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads);

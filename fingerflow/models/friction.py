@@ -14,68 +14,68 @@ V = F^2 / (2 sigma_0) is an energy that is never created, for every n >= 0: dV =
 of 1 - u. A falling limit reduces F and V without work; a rising limit changes neither.
 """
 
-import torch
-from torch import Tensor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
-def dahl_step(
-    force: Tensor | float,
-    slid: Tensor | float,
-    limit: Tensor | float,
-    *,
-    stiffness: Tensor | float = 500.0,
-    exponent: Tensor | float = 0.7,
-) -> Tensor:
-    """Return the exact friction force (N) after a slide in one direction at a constant limit; all arguments broadcast.
+class Friction(NamedTuple):
+    """Dahl's force (N,) after a slide, and its derivatives by the position along the plate and above it."""
 
-    If the limit changed since the step before, the force is first clamped to it, so |F| <= F_c always. An infinite
-    stiffness gives Coulomb friction: the limit after any slide, the previous force without one. The force is
-    differentiable except where it reaches the limit (n < 1) or the direction changes.
+    force: Array
+    along: Array
+    above: Array
+
+
+def dahl_friction(
+    before: Array, old: Array, place: Array, steep: Array, stiffness: float = 500.0, exponent: float = 0.7
+) -> Friction:
+    """Compute the friction of N elements after slides from ``old`` to ``place`` on a plate at z = 0.
+
+    The closed form is taken at the mean of the limits before and after, which makes the error of a changing limit third
+    order. The result is clamped to the last limit, so the force never exceeds it.
 
     Args:
-        force: F before, N, along +x where it resists a motion along +x.
-        slid: dx, m, of either sign.
-        limit: F_c = mu p during the step, N, 0 or more; at 0 the force is 0.
+        before: (N,) N, the force before, positive where it opposes motion along +x.
+        old, place: (N, 2) m, x along the plate and z above it; the limit is F_c = steep max(-z, 0).
+        steep: (N,) N/m, the friction coefficient times the plate's stiffness.
         stiffness: sigma_0 at F = 0, N/m, positive; the paper's is 500.
         exponent: n >= 0; the paper's is 0.7. 0 is a spring up to the limit, 1 an exponential approach.
-
-    Raises:
-        ValueError: a negative limit or exponent, a stiffness that is not positive, or NaN in any.
     """
-    given = (force, slid, limit, stiffness, exponent)
-    before, slide, most, spring, n = torch.broadcast_tensors(*(torch.as_tensor(x, dtype=torch.float64) for x in given))
-    for name, value, allowed in (
-        ("limit", most, most >= 0),
-        ("stiffness", spring, spring > 0),
-        ("exponent", n, n >= 0),
-    ):
-        if not bool(allowed.all()):
-            least = "above 0" if name == "stiffness" else "0 or more"
-            raise ValueError(f"{name} {value[~allowed].flatten()[0].item()}: Dahl's model needs {least}")
-    before = torch.minimum(torch.maximum(before, -most), most)
-    sign = slide.sign()
-    moves = (slide != 0) & (most > 0)
-    safe = torch.where(moves, most, 1.0)
-    left = torch.where(moves, 1 - sign * before / safe, 1.0)  # u, 0 to 2
-    at_limit = left <= 0
-    left = torch.where(at_limit, 1.0, left)
-    distance = torch.where(moves, spring * torch.where(moves, slide, 1.0).abs() / safe, 0.0) * left ** (n - 1)
-    lost = share_lost(distance, n)
-    after = torch.where(lost >= 1, sign * safe, before + sign * safe * left * lost)
-    after = torch.where(moves & ~at_limit, after, before)
-    return torch.minimum(torch.maximum(after, -most), most)  # the sum may round beyond the limit
-
-
-def share_lost(distance: Tensor, exponent: Tensor) -> Tensor:
-    """Return 1 - u / u_0 after a distance d in units of F_c u_0^(1 - n) / sigma_0: 1 - (1 - (1 - n) d)^(1 / (1 - n)).
-
-    For n = 1 this is 1 - exp(-d), and it does not cancel near n = 1. It is 1 once a model with n < 1 reaches the limit.
-    """
-    power = 1 - exponent
-    exponential = power == 0
-    power = torch.where(exponential, 1.0, power)
-    base = power * distance
-    reached = base >= 1
-    logarithm = torch.log1p(-torch.where(reached, 0.0, base)) / power
-    logarithm = torch.where(exponential, -distance, logarithm)
-    return torch.where(reached & ~exponential, 1.0, -torch.expm1(logarithm))
+    last = steep * np.maximum(-place[:, 1], 0)
+    middle = (last + steep * np.maximum(-old[:, 1], 0)) / 2
+    slid = place[:, 0] - old[:, 0]
+    active = (middle > 0) & (place[:, 1] < 0)
+    limit = np.where(active, middle, 1.0)
+    sign = np.where(slid < 0, -1.0, 1.0)
+    n, power = exponent, 1 - exponent
+    held = np.clip(before, -limit, limit)
+    cut = held != before
+    left = 1 - sign * held / limit
+    done = left <= 0
+    left = np.where(done, 1.0, left)
+    distance = stiffness * np.abs(slid) / limit * left ** (n - 1)
+    if power == 0:
+        kept, rest = np.exp(-distance), np.exp(-distance)
+    else:
+        base = np.maximum(1 - power * distance, 0)
+        kept = base ** (1 / power)  # u / u_0
+        rest = np.where(base > 0, base ** (n / power), 0.0)  # -d(u / u_0) / d distance = (u / u_0)^n
+    after = np.where(done, sign * limit, held + sign * limit * left * (1 - kept))
+    along = stiffness * left**n * rest
+    # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: a change of the limit changes u_0 and the scaled distance.
+    of_left = np.where(cut, 0.0, sign * held / limit**2)
+    of_limit = np.where(
+        done, sign, sign * (1 - left * kept) - sign * limit * (rest * of_left + left * rest * distance / limit)
+    )
+    over = np.abs(after) > last
+    still = done | over | ~active
+    end_sign = np.where(after < 0, -1.0, 1.0)
+    return Friction(
+        force=np.where(active, np.clip(after, -last, last), 0.0),
+        along=np.where(still, 0.0, along),
+        above=np.where(active, np.where(over, -end_sign * steep, -of_limit * steep / 2), 0.0),
+    )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 from torch import Tensor
 
 _PARTS = 25  # windows in a half period; the finger's velocity is the slope of a line fitted over about one window
@@ -69,8 +70,8 @@ def friction_epochs(
             f"a half period of {modulation_hz:g} Hz has {half / step:.1f} samples of {step:g} s: record "
             f"{2 * _LEAST_SAMPLES * modulation_hz:g} Hz or more"
         )
-    width = max(1, round(half / step / _PARTS / 2))
-    sliding = _slopes(place, width) / step < -least_speed
+    width = max(1, min(round(half / step / _PARTS / 2), (len(at) - 1) // 2))
+    sliding = savgol_filter(place, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
     first, last = [], []
     for begin in _rises(at, height, modulation_hz):
         start, stop = np.searchsorted(at, (begin - 1e-6 * half, begin + half * (1 + 1e-6)))
@@ -107,15 +108,6 @@ def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency:
     return np.asarray(time[0] + (lowest / (2 * np.pi) + periods) / frequency)
 
 
-def _slopes(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Return slopes per sample of lines fitted to 2 width + 1 samples; the ends repeat the nearest whole window."""
-    if len(values) < 2 * width + 1:
-        return np.full(len(values), np.nan)
-    offsets = np.arange(-width, width + 1)
-    inside = np.convolve(values, offsets[::-1] / (offsets**2).sum(), mode="valid")
-    return np.pad(inside, width, mode="edge")
-
-
 def _quartiles(values: NDArray[np.float64]) -> tuple[float, float]:
     """Return the median and the interquartile range; NaN without values."""
     if not len(values):
@@ -134,8 +126,8 @@ def _checked(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return time, |T| / N, position and amplitude as float64 after checking shapes and values."""
-    if time.ndim != 1 or len(time) < 2:
-        raise ValueError(f"time is {tuple(time.shape)}: give (T,), two samples or more")
+    if time.ndim != 1 or len(time) < 3:
+        raise ValueError(f"time is {tuple(time.shape)}: give (T,), three samples or more")
     for name, signal in signals.items():
         if signal.shape != time.shape:
             raise ValueError(f"{name} is {tuple(signal.shape)} beside {len(time)} times: give one sample a time")

@@ -27,14 +27,6 @@ import torch
 from torch import Tensor
 
 _PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
-_FAR = 2.0  # strip widths: beyond, the kernel is smooth enough for ten-point Gauss quadrature to be exact to rounding
-_GAUSS = (
-    (0.14887433898163122, 0.29552422471475287),
-    (0.43339539412924721, 0.26926671930999635),
-    (0.67940956829902441, 0.21908636251598204),
-    (0.86506336668898451, 0.14945134915058059),
-    (0.97390652851717172, 0.06667134430868814),
-)
 
 
 class Stress(NamedTuple):
@@ -63,42 +55,7 @@ def stress(
     Raises:
         ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
     """
-    edges, pressure, traction = _checked(edges, pressure, traction, extra=1)
-    return _summed(y, z, edges, pressure, traction)
-
-
-def stress_linear(
-    y: Tensor | float, z: Tensor | float, nodes: Tensor, pressure: Tensor, traction: Tensor | None = None
-) -> Stress:
-    """Compute the stress as `stress` does, for loads (..., M + 1) given at nodes (..., M + 1) and linear between them.
-
-    A load that is not 0 at the first or last node ends there with a step.
-    """
-    nodes, pressure, traction = _checked(nodes, pressure, traction, extra=0)
-    constant = [(load[..., 1:] + load[..., :-1]) / 2 for load in (pressure, traction)]
-    rising = [load.diff(dim=-1) / nodes.diff(dim=-1) for load in (pressure, traction)]
-    return _summed(y, z, nodes, *constant, *rising)
-
-
-class _Kernels(NamedTuple):
-    """The four kernels integrated over each strip, (..., points, M)."""
-
-    z_rr: Tensor  # of 2 z r^2 / R^4
-    zzz: Tensor  # of 2 z^3 / R^4
-    zz_r: Tensor  # of 2 z^2 r / R^4
-    rrr: Tensor  # of 2 r^3 / R^4
-
-
-def _summed(
-    y: Tensor | float,
-    z: Tensor | float,
-    edges: Tensor,
-    pressure: Tensor,
-    traction: Tensor,
-    pressure_slope: Tensor | None = None,
-    traction_slope: Tensor | None = None,
-) -> Stress:
-    """Compute the stress of strip loads from their values at the strip centres (..., M) and their slopes along y."""
+    edges, pressure, traction = _checked(edges, pressure, traction)
     place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
     if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
         raise ValueError(
@@ -109,20 +66,20 @@ def _summed(
     parts = []
     for along, down in zip(place.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
         first, second = along - edges[..., None, :-1], along - edges[..., None, 1:]
-        width = edges.diff(dim=-1)[..., None, :]
-        part = _loaded(_integrals(first, second, width, down), pressure, traction)
-        if pressure_slope is not None and traction_slope is not None:
-            # s - (centre of the strip) = -(r - middle of r), hence the minus sign.
-            part = part - _loaded(_moments(first, second, width, down), pressure_slope, traction_slope)
-        parts.append(part)
+        of = _integrals(first, second, edges.diff(dim=-1)[..., None, :], down)
+        pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
+        parts.append(torch.stack([_over_strips(of_p, pressure) + _over_strips(of_q, traction) for of_p, of_q in pairs]))
     whole = -torch.cat(parts, -1) / math.pi
     return Stress(*whole.reshape(*whole.shape[:-1], *place.shape))
 
 
-def _loaded(of: _Kernels, pressure: Tensor, traction: Tensor) -> Tensor:
-    """Return the sums over strips (3, ..., points) of -pi sigma_y, -pi sigma_z and -pi tau_yz."""
-    pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
-    return torch.stack([_over_strips(of_p, pressure) + _over_strips(of_q, traction) for of_p, of_q in pairs])
+class _Kernels(NamedTuple):
+    """The four kernels integrated over each strip, (..., points, M)."""
+
+    z_rr: Tensor  # of 2 z r^2 / R^4
+    zzz: Tensor  # of 2 z^3 / R^4
+    zz_r: Tensor  # of 2 z^2 r / R^4
+    rrr: Tensor  # of 2 r^3 / R^4
 
 
 def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
@@ -158,34 +115,6 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     return _Kernels(excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr)
 
 
-def _moments(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Compute the integrals of the kernels times r - (middle of r), which a linear load adds.
-
-    Near a strip the closed form is used: r z r^2 is z rrr and so on, and 2 r^4 / R^4 = 2 - 4 z^2 / R^2 + 2 z^4 / R^4.
-    Far from it that form is a small difference of large numbers. The kernels are smooth there, and ten-point Gauss
-    quadrature is exact to rounding.
-    """
-    middle = (first + second) / 2
-    of = _integrals(first, second, width, z)
-    fourth = 2 * (width - z * torch.atan2(z * width, z * z + first * second)) - z * of.z_rr
-    near = _Kernels(
-        z * of.rrr - middle * of.z_rr,
-        z * of.zz_r - middle * of.zzz,
-        z * of.z_rr - middle * of.zz_r,
-        fourth - middle * of.rrr,
-    )
-    far = [torch.zeros_like(part) for part in near]
-    for place, weight in _GAUSS:
-        for side in (-place, place):
-            off = side * width / 2
-            r = middle + off
-            scale = weight * width * off / (r * r + z * z) ** 2
-            powers = (z * r * r, z * z * z, z * z * r, r * r * r)
-            far = [total + scale * power for total, power in zip(far, powers, strict=True)]
-    is_far = middle * middle + z * z > (_FAR * width) ** 2
-    return _Kernels(*(torch.where(is_far, there, here) for there, here in zip(far, near, strict=True)))
-
-
 def _less_sine(angle: Tensor, sine: Tensor) -> Tensor:
     """Return angle - sin(angle) >= 0, without cancellation at small angles."""
     small = angle < 1
@@ -207,16 +136,15 @@ def _odd_series(value: Tensor, sign: float) -> Tensor:
     return total * squared * value
 
 
-def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None, extra: int) -> tuple[Tensor, Tensor, Tensor]:
+def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     edges, pressure = (torch.as_tensor(given, dtype=torch.float64) for given in (edges, pressure))
     traction = torch.zeros_like(pressure) if traction is None else torch.as_tensor(traction, dtype=torch.float64)
-    values = "one value a strip" if extra else "one value a node"
     for name, load in (("pressure", pressure), ("traction", traction)):
-        if not edges.ndim or not load.ndim or load.shape[-1] != edges.shape[-1] - extra or not load.shape[-1]:
+        strips = (edges.shape[-1] if edges.ndim else 1) - 1
+        if not load.ndim or load.shape[-1] != strips or not strips:
             raise ValueError(
-                f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give {values}, that is "
-                f"{(edges.shape[-1] if edges.ndim else 1) - extra} in the last dimension, "
-                "`stress` for constant and `stress_linear` for linear loads"
+                f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give one value a strip, {strips} in the "
+                "last dimension"
             )
         if not bool(load.isfinite().all()):
             raise ValueError(f"{name} has a value that is not finite: leave the frames out that are not known")

@@ -42,10 +42,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from fingerflow.models.skin_motion import Chains, Motion, moved, stiffness_of
+from fingerflow.models.skin_motion import Chains, Motion, moved
 from fingerflow.models.skin_parameters import Number, SkinParameters, named
 
 Friction = float | Tensor | Callable[[float, Tensor], Tensor]
+Loads = tuple[Number | None, ...]  # load_n, tangential_n, indentation_m and slide_m of `press`
 TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
 CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
 REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
@@ -99,8 +100,8 @@ def press(
 ) -> PressedChain:
     """Apply a load at once and hold it until all forces balance, to 2e-7 of the load.
 
-    With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. The result is
-    differentiable in friction, stiffnesses and sigma_0 by the adjoint of each step taken: exact for fixed step lengths.
+    With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. There is no
+    gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
 
     Args:
         friction: coefficient mu >= 0, a number or a tensor for many presses. Or a function of the time in s and the
@@ -114,11 +115,13 @@ def press(
             equilibrium, and `balance` shows it.
 
     Raises:
-        ValueError: a negative or unknown friction, impossible parameters, fewer than 4 elements.
+        ValueError: a negative or unknown friction, impossible parameters, fewer than 4 elements, or an input that
+            requires a gradient.
         RuntimeError: no step length meets the tolerance.
     """
-    chains, start = _begun(friction, parameters, elements, load_n, tangential_n, indentation_m, slide_m)
-    ends, held = _loads(chains.shape, load_n, tangential_n, indentation_m, slide_m)
+    given = load_n, tangential_n, indentation_m, slide_m
+    chains, start = _begun(friction, parameters, elements, given)
+    ends, held = _loads(chains.shape, given)
     coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
     # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
     if any(held):
@@ -144,64 +147,44 @@ def follow(
     """Compute the chain at each of the times (T,), under loads linear between them, such as a measured force trace.
 
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
-    each time, at the current positions of the elements. Not differentiable: raises ValueError if an input requires a
-    gradient.
+    each time, at the current positions of the elements. Raises ValueError as `press` does.
     """
     steps = time.double().diff()
     if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
         raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
     traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
-    at: dict[str, Tensor | None] = {name: _trace(name, value, len(time)) for name, value in traces.items()}
-
-    def given(k: int) -> tuple[Tensor | None, ...]:
-        return tuple(None if value is None else value[k] for value in at.values())
-
-    with torch.no_grad():
-        chains, state = _begun(friction, parameters, elements, *given(0))  # type: ignore[arg-type]
-        asked = [getattr(named(parameters), field.name) for field in fields(SkinParameters)]
-        if any(isinstance(value, Tensor) and value.requires_grad for value in (friction, *asked, *traces.values())):
-            raise ValueError("follow is not differentiable: detach friction, parameters and loads, or use press")
-        found = []
-        before, held = _loads(chains.shape, *given(0))  # type: ignore[arg-type]
-        for k in range(len(time)):
-            after, _ = _loads(chains.shape, *given(k))  # type: ignore[arg-type]
-            coefficient = _coefficient(friction, float(time[k]), state.place[..., 0], chains.shape)
-            if k:
-                loads = torch.stack((before, after), -2)
-                state = moved(chains, state, coefficient, loads, held, float(steps[k - 1]), tolerance_m, 0.0)
-            before = after
-            found.append(_measured(chains, state, coefficient, after, held))
+    at = [_trace(name, value, len(time)) for name, value in traces.items()]
+    given = [tuple(None if trace is None else trace[k] for trace in at) for k in range(len(time))]
+    chains, state = _begun(friction, parameters, elements, given[0])
+    found = []
+    before, held = _loads(chains.shape, given[0])
+    for k in range(len(time)):
+        after, _ = _loads(chains.shape, given[k])
+        coefficient = _coefficient(friction, float(time[k]), state.place[..., 0], chains.shape)
+        if k:
+            loads = torch.stack((before, after), -2)
+            state = moved(chains, state, coefficient, loads, held, float(steps[k - 1]), tolerance_m, 0.0)
+        before = after
+        found.append(_measured(chains, state, coefficient, after, held))
     return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
-def _begun(
-    friction: Friction,
-    parameters: str | SkinParameters,
-    elements: int,
-    load_n: Number,
-    tangential_n: Number,
-    indentation_m: Number | None,
-    slide_m: Number | None,
-) -> tuple[Chains, Motion]:
+def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
     """Return the chains of all parameter sets and their undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
-    given = [load_n, tangential_n, indentation_m, slide_m, *([] if callable(friction) else [friction])]
+    given = [*loads, *([] if callable(friction) else [friction])]
     of = named(parameters)
     numbers = [getattr(of, field.name) for field in fields(of)]
-    shapes = [torch.as_tensor(value).shape for value in (*given, *numbers) if value is not None]
-    chains = Chains.of(of, elements, torch.broadcast_shapes(*shapes))
+    tensors = [torch.as_tensor(value) for value in (*given, *numbers) if value is not None]
+    _refuse_gradients(*tensors)
+    chains = Chains.of(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()
 
 
-def _loads(
-    shape: torch.Size,
-    load_n: Number,
-    tangential_n: Number,
-    indentation_m: Number | None,
-    slide_m: Number | None,
-) -> tuple[Tensor, tuple[bool, bool]]:
+def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
     """Return the loads (..., 2) along x and z, and for each direction whether it is a prescribed motion."""
+    load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m
     both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]
@@ -223,18 +206,23 @@ def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) 
     """Return the friction coefficient (..., N) of each element."""
     found = friction(time, x) if callable(friction) else torch.as_tensor(friction, dtype=torch.float64)[..., None]
     coefficient = torch.as_tensor(found, dtype=torch.float64).expand(*shape, x.shape[-1])
+    _refuse_gradients(coefficient)
     known = (coefficient >= 0) & (coefficient < math.inf)
     if not bool(known.all()):
         raise ValueError(f"friction {float(coefficient[~known].flatten()[0])}: a coefficient is 0 or more")
     return coefficient
 
 
+def _refuse_gradients(*inputs: Tensor) -> None:
+    if any(value.requires_grad for value in inputs):
+        raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
+
+
 def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]) -> PressedChain:
     x, z = at.place.unbind(-1)
     reference = chains.reference
     displacement = at.place - reference
-    contact_stiffness = stiffness_of(chains.numbers, "contact")[..., None]
-    force = contact_stiffness * (-z).clamp_min(0)
+    force = chains.contact[..., None] * (-z).clamp_min(0)
     touching = force > CONTACT_N
     length = _between_neighbours(x)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]

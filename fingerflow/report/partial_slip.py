@@ -12,7 +12,6 @@ from fingerflow.models.partial_slip import (
     TrialVerdict,
     critical_load_ratio,
     critical_stuck_area,
-    equal_friction_stuck_area,
     stuck_area,
 )
 from fingerflow.models.partial_slip.verdict import CORRIDOR
@@ -58,7 +57,7 @@ def draw_models(axes: Axes, mu_s: float, mu_k: float) -> Axes:
     largest = float(critical_load_ratio(mu_s, mu_k))
     load = np.linspace(0, largest, 400)
     axes.plot([0, largest, largest], [1, 1, 0], "--", color=GREY, label="Coulomb")
-    axes.plot(load, equal_friction_stuck_area(load, largest), color=GREY, label=r"$\mu_k = \mu_s$")
+    axes.plot(load, stuck_area(load, largest, largest), color=GREY, label=r"$\mu_k = \mu_s$")
     _draw_curve(axes, mu_s, mu_k, _named(mu_s, mu_k), INK)
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05))
     return finished(axes)

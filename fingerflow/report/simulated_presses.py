@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 from torch import Tensor
 
 from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
@@ -176,13 +177,12 @@ def friction_colours(presses: SimulatedPresses) -> Any:
 
 def _rate(series: Values, time: Values) -> Values:
     """Return rates (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
-    width = max(1, round(_SLOPE_S / (time[1] - time[0]) / 2))
-    offsets = np.arange(-width, width + 1)
-    weights = offsets[::-1] / ((offsets**2).sum() * (time[1] - time[0]))
+    step = time[1] - time[0]
+    width = max(1, round(_SLOPE_S / step / 2))
     rates = np.full(series.shape, np.nan)
-    for column in range(series.shape[1]):
-        if len(time) > 2 * width:
-            rates[width:-width, column] = np.convolve(series[:, column], weights, mode="valid")
+    if len(time) > 2 * width:
+        slopes = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="nearest")
+        rates[width:-width] = slopes[width:-width]
     return rates
 
 

@@ -10,6 +10,8 @@ from fingerflow.ops.tracking.track_points import TrackStatus
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
+Array = NDArray[np.float64]
+
 
 class Comparison(NamedTuple):
     """One quantity: measured and true value in the last frame, and a text with its errors."""
@@ -30,19 +32,10 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     last = scene.n_frames - 1
     rows = []
 
-    def relative(
-        quantity: str, name: str, values: NDArray[np.float64], true: NDArray[np.float64], large: NDArray[np.bool_]
-    ) -> None:
+    def relative(quantity: str, unit: str, values: Array, true: Array, large: NDArray[np.bool_]) -> None:
         error = np.abs(values[large] / true[large] - 1)
-        rows.append(
-            Comparison(
-                quantity,
-                name,
-                values[last],
-                true[last],
-                f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})",
-            )
-        )
+        text = f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})"
+        rows.append(Comparison(quantity, unit, values[last], true[last], text))
 
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
     large = gross > 10
@@ -62,19 +55,11 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         return rows
 
     pixels = result["position_px"].values
-    material = truth.material(truth.topography_positions(pixels[0]), 0)
-    true_pixels = truth.topography_pixels(truth.positions(material, last))
     tracked = result["status"].values[last] == TrackStatus.TRACKED
-    distance = np.linalg.norm(pixels[last] - true_pixels, axis=-1)[tracked]
-    rows.append(
-        Comparison(
-            "position of a point, last frame",
-            "px",
-            float(np.sqrt((distance**2).mean())),
-            0.0,
-            f"{np.sqrt((distance**2).mean()):.4f} RMS, {distance.max():.3f} worst",
-        )
-    )
+    distance = np.linalg.norm(pixels[last] - truth.follow(pixels[0], 0, last), axis=-1)[tracked]
+    root_mean_square = float(np.sqrt((distance**2).mean()))
+    text = f"{root_mean_square:.4f} RMS, {distance.max():.3f} worst"
+    rows.append(Comparison("position of a point, last frame", "px", root_mean_square, 0.0, text))
     if "median_divergence" not in result:
         return rows
     frames = [*looked[::2], last]

@@ -10,7 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -32,6 +34,12 @@ class Ellipse:
         """Return the largest distance (mm) of the edge from the centre along x and along y."""
         (first, second), cosine, sine = self.semi_axes, math.cos(self.angle), math.sin(self.angle)
         return math.hypot(first * cosine, second * sine), math.hypot(first * sine, second * cosine)
+
+    def edge(self, count: int) -> NDArray[np.float64]:
+        """Return points (count, 2) on the edge, mm."""
+        turn = np.exp(2j * np.pi * np.arange(count) / count)
+        around = np.exp(1j * self.angle) * (self.semi_axes[0] * turn.real + 1j * self.semi_axes[1] * turn.imag)
+        return np.stack((around.real, around.imag), -1) + self.centre
 
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the distance from the centre relative to that of the edge in the same direction: 1 on the edge."""

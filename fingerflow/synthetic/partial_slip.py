@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.optimize import brentq
 from torch import Tensor
 
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, stuck_area
@@ -14,7 +15,6 @@ from fingerflow.synthetic.slide import Slide
 
 _STEEPEST = 1.5  # slope of `_rising` at its steepest
 _MOST_STRETCH = 0.5  # largest stretch that jumps may add
-_BISECTIONS = 60
 _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the stick region
 
 
@@ -158,12 +158,11 @@ class PartialSlipMotion(SlideMotion):
             return 0.0
         # The displacement grows outwards. Only within the contact: the skin around it moves rigidly.
         stuck, leapt = self.stuck_radius(at), self.leapt(at)
-        low, high = float(stuck), 1.0
-        for _ in range(_BISECTIONS):
-            middle = torch.tensor((low + high) / 2, dtype=torch.float64)
-            still = float(self._slipped(middle, stuck, leapt)) < left
-            low, high = (float(middle), high) if still else (low, float(middle))
-        return high
+
+        def beyond(radius: float) -> float:
+            return float(self._slipped(torch.tensor(radius, dtype=torch.float64), stuck, leapt)) - left
+
+        return float(brentq(beyond, float(stuck), 1.0, xtol=1e-15)) if beyond(1.0) > 0 else 1.0
 
 
 def _rising(share: Tensor) -> Tensor:

@@ -116,9 +116,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     texture = PictureTexture(Path(picture), dpi)
     plain = kind()
     # The skin under the edge of the contact: at its start and, where it travels, as it enters at the front.
-    edges = [_skin_under_edge(plain, frame) for frame in range(0, plain.n_frames, 20)] + [
-        _skin_under_edge(plain, plain.n_frames - 1)
-    ]
+    edges = [_skin_under_edge(plain, frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)]
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
     half = np.array(texture.size) / 2
@@ -136,11 +134,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
 def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
     """Return material positions (64, 2) in mm under the edge of the apparent contact; none (0, 2) before contact."""
     ellipse = scene.truth.ellipse(frame)
-    if ellipse is None:
-        return np.zeros((0, 2))
-    turn = np.exp(2j * np.pi * np.arange(64) / 64)
-    around = np.exp(1j * ellipse.angle) * (ellipse.semi_axes[0] * turn.real + 1j * ellipse.semi_axes[1] * turn.imag)
-    return scene.truth.material(np.stack((around.real, around.imag), axis=-1) + ellipse.centre, frame)
+    return np.zeros((0, 2)) if ellipse is None else scene.truth.material(ellipse.edge(64), frame)
 
 
 def _middle(texture: PictureTexture) -> Plane:

@@ -46,62 +46,46 @@ class Medians:
     displacement_y: float
 
 
+@dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact values of the quantities that a pipeline measures in a scene.
+    """Exact values of the quantities that a pipeline measures in a scene."""
 
-    Args:
-        motion: the movement.
-        progress: of the movement at each frame, (frames,), never falling.
-        time_of: the time (s) at which a progress was reached.
-        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance
-            (mm) from the edge of the apparent contact, positive inside.
-        mm_per_px: of the contact view.
-        contact_shape: rows and columns of the contact view.
-        topography_to_contact: 2 x 3, from pixels of the topography view to pixels of the contact view.
-    """
-
-    def __init__(
-        self,
-        motion: SkinMotion,
-        progress: Array,
-        time_of: Callable[[Array], Array],
-        touches: Callable[[Tensor, Tensor, Tensor], Tensor],
-        mm_per_px: float,
-        contact_shape: tuple[int, int],
-        topography_to_contact: Array,
-    ) -> None:
-        self._motion = motion
-        self._progress = progress
-        self._time_of = time_of
-        self._touches = touches
-        self._mm_per_px = mm_per_px
-        self._contact_shape = contact_shape
-        self._matrix, self._offset = topography_to_contact[:, :2], topography_to_contact[:, 2]
+    motion: SkinMotion
+    progress: Array  # (frames,) of the movement, never falling
+    time_of: Callable[[Array], Array]  # the time (s) at which a progress was reached
+    # Margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance (mm) from
+    # the edge of the apparent contact, positive inside.
+    touches: Callable[[Tensor, Tensor, Tensor], Tensor]
+    mm_per_px: float  # of the contact view
+    contact_shape: tuple[int, int]  # rows and columns of the contact view
+    topography_to_contact: Array  # 2 x 3, from pixels of the topography view to pixels of the contact view
 
     # Views
 
     def contact_pixels(self, positions: ArrayLike) -> Array:
         """Return the pixels of the contact view (..., 2) at positions (..., 2) in mm."""
-        return np.asarray(positions, dtype=np.float64) / self._mm_per_px
+        return np.asarray(positions, dtype=np.float64) / self.mm_per_px
 
     def contact_positions(self, pixels: ArrayLike) -> Array:
         """Return the positions in mm at pixels of the contact view."""
-        return np.asarray(pixels, dtype=np.float64) * self._mm_per_px
+        return np.asarray(pixels, dtype=np.float64) * self.mm_per_px
 
     def topography_pixels(self, positions: ArrayLike) -> Array:
         """Return the pixels of the topography view (..., 2) at positions (..., 2) in mm."""
-        return (self.contact_pixels(positions) - self._offset) @ np.linalg.inv(self._matrix).T
+        matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
+        return (self.contact_pixels(positions) - offset) @ np.linalg.inv(matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
         """Return the positions in mm at pixels of the topography view."""
-        return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ self._matrix.T + self._offset)
+        matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
+        return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ matrix.T + offset)
 
     # Motion
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
         """Return material coordinates (mm) of the skin at positions (..., 2) in a frame."""
         x, y = _points(positions).unbind(-1)
-        return torch.stack(self._motion.material(x, y, self._at(frame)), dim=-1).numpy()
+        return torch.stack(self.motion.material(x, y, self._at(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
         """Return positions (mm) of material points (..., 2) in a frame."""
@@ -117,20 +101,20 @@ class Truth:
 
     def ellipse(self, frame: int) -> Ellipse | None:
         """Return the apparent contact in mm, None before contact."""
-        return self._motion.ellipse(float(self._progress[frame]))
+        return self.motion.ellipse(float(self.progress[frame]))
 
     def gross_mask(self, frame: int) -> NDArray[np.bool_]:
         """Return True for each pixel centre of the contact view (H, W) inside the apparent contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
-            return np.zeros(self._contact_shape, dtype=bool)
+            return np.zeros(self.contact_shape, dtype=bool)
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
         """Return True for each pixel centre of the contact view (H, W) on a ridge in contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
-            return np.zeros(self._contact_shape, dtype=bool)
+            return np.zeros(self.contact_shape, dtype=bool)
         return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
@@ -143,7 +127,7 @@ class Truth:
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
-        x, y, cell = _grid_around(ellipse, self._mm_per_px / samples_per_px)
+        x, y, cell = _grid_around(ellipse, self.mm_per_px / samples_per_px)
         filled = self._contact_margin(x, y, frame, ellipse) / cell + 0.5
         return float(filled.clamp(0, 1).sum()) * cell**2
 
@@ -151,13 +135,13 @@ class Truth:
 
     def onset_time(self, material: ArrayLike) -> Array:
         """Return the time (s) at which the apparent contact reached material points (..., 2); NaN if it never did."""
-        return self._time_of(self._onset(_points(material))[0].numpy())
+        return self.time_of(self._onset(_points(material))[0].numpy())
 
     def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
         """Return the first frame with material points (..., 2) inside the apparent contact; -1 where there is none."""
         onset = self._onset(_points(material))[0].numpy()
-        frames = np.searchsorted(self._progress, np.nan_to_num(onset, nan=np.inf), side="left")
-        return np.where(frames < len(self._progress), frames, -1)
+        frames = np.searchsorted(self.progress, np.nan_to_num(onset, nan=np.inf), side="left")
+        return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
         """Return the displacement (..., 2) in mm since the onset, or since frame `reference`.
@@ -187,11 +171,7 @@ class Truth:
         """
         points = _points(material)
         onset, place = self._onset(points)
-        begun, _ = self._derivatives(place, onset)
-        progress = self._at(frame).expand(onset.shape)
-        now, _ = self._derivatives(self._forward(points, progress, points), progress)
-        gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
-        return torch.where((onset <= progress)[..., None, None], gradient, math.nan).numpy()
+        return self._gradient_from(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
         """Return medians over a square grid of positions in the apparent contact of a frame.
@@ -221,15 +201,15 @@ class Truth:
     # Solvers
 
     def _at(self, frame: int) -> Tensor:
-        return torch.tensor(self._progress[frame], dtype=torch.float64)
+        return torch.tensor(self.progress[frame], dtype=torch.float64)
 
     def _pixel_centres(self) -> tuple[Tensor, Tensor]:
-        y, x = (torch.arange(size, dtype=torch.float64) * self._mm_per_px for size in self._contact_shape)
-        return x.expand(self._contact_shape), y[:, None].expand(self._contact_shape)
+        y, x = (torch.arange(size, dtype=torch.float64) * self.mm_per_px for size in self.contact_shape)
+        return x.expand(self.contact_shape), y[:, None].expand(self.contact_shape)
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         depth = ellipse.distance(x, y)
-        return torch.minimum(self._touches(*self._motion.material(x, y, self._at(frame)), depth), depth)
+        return torch.minimum(self.touches(*self.motion.material(x, y, self._at(frame)), depth), depth)
 
     def _displacement(
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
@@ -242,13 +222,8 @@ class Truth:
     def _gradient(
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
     ) -> Tensor:
-        progress = self._at(frame).expand(onset.shape)
         if reference is not None:
-            then = self._at(reference).expand(onset.shape)
-            begun, _ = self._derivatives(self._forward(points, then, points), then)
-            now, _ = self._derivatives(self._forward(points, progress, points), progress)
-            gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
-            return torch.where((onset <= progress)[..., None, None], gradient, math.nan)
+            return self._gradient_from(points, frame, onset, self._deformation(points, reference))
         forward, velocity = self._derivatives(place, onset)
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate
@@ -256,16 +231,24 @@ class Truth:
         # Points inside at the start have their onset at progress 0, and so have their neighbours.
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
-        now, _ = self._derivatives(self._forward(points, progress, points), progress)
-        gradient = now @ _inverse(place_gradient) - torch.eye(2, dtype=torch.float64)
-        defined = (onset <= progress) & (_determinant(place_gradient).abs() > 1e-9)
-        return torch.where(defined[..., None, None], gradient, math.nan)
+        gradient = self._gradient_from(points, frame, onset, place_gradient)
+        return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
+
+    def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
+        """Return F(frame) begun^-1 - I (..., 2, 2), with ``begun`` the gradient of the reference; NaN before onset."""
+        gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+        return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
+
+    def _deformation(self, points: Tensor, frame: int) -> Tensor:
+        """Return F (..., 2, 2) of material points in a frame."""
+        progress = self._at(frame).expand(points.shape[:-1])
+        return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         """Return F (..., 2, 2) and the skin's velocity by progress (..., 2) at positions (..., 2)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
-            material = self._motion.material(positions[..., 0], positions[..., 1], progress)
+            material = self.motion.material(positions[..., 0], positions[..., 1], progress)
             rows = [torch.autograd.grad(part.sum(), (positions, progress), retain_graph=True) for part in material]
         forward = _inverse(torch.stack([row for row, _ in rows], dim=-2))
         by_progress = torch.stack([rate for _, rate in rows], dim=-1)
@@ -275,7 +258,7 @@ class Truth:
         """Return the derivatives of the contact depth by position (..., 2) and by progress (...)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
-            depth = self._motion.depth(positions[..., 0], positions[..., 1], progress)
+            depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)
             slope, rate = torch.autograd.grad(depth.sum(), (positions, progress))
         return slope, rate
 
@@ -283,7 +266,7 @@ class Truth:
         """Return positions (..., 2) of material points at progress (...), by Newton's method; NaN for NaN progress."""
         positions = start
         for _ in range(30):
-            reached = torch.stack(self._motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
+            reached = torch.stack(self.motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
             missing = material - reached
             if not (missing.abs() > TOLERANCE).any():
                 # Points with NaN progress have a NaN residual: propagate it.
@@ -301,11 +284,11 @@ class Truth:
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """
-        steps = torch.linspace(0, 1, self._motion.entry_steps + 1, dtype=torch.float64)
+        steps = torch.linspace(0, 1, self.motion.entry_steps + 1, dtype=torch.float64)
         points = material.expand(len(steps), *material.shape)
         at = steps.reshape(-1, *(1,) * (material.ndim - 1)).expand(points.shape[:-1])
         place = self._forward(points, at, points)
-        inside = self._motion.depth(place[..., 0], place[..., 1], at) > 0
+        inside = self.motion.depth(place[..., 0], place[..., 1], at) > 0
         last = torch.argmax(inside.to(torch.uint8), dim=0)
         first = (last - 1).clamp(min=0)
         upper = torch.where(inside.any(dim=0), steps[last], math.nan)
@@ -315,7 +298,7 @@ class Truth:
         place = torch.gather(place, 0, last[None, ..., None].expand(1, *material.shape))[0]
         for _ in range(60):
             place = self._forward(material, onset, place)
-            depth = self._motion.depth(place[..., 0], place[..., 1], onset)
+            depth = self.motion.depth(place[..., 0], place[..., 1], onset)
             upper = torch.where(depth > 0, onset, upper)
             lower = torch.where(depth > 0, lower, onset)
             slope, rate = self._depth_derivatives(place, onset)

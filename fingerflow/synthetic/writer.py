@@ -54,7 +54,7 @@ def write_recording(folder: Path, scene: SyntheticScene) -> None:
         raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
     unfinished = hidden(folder)
     try:
-        _make(unfinished)
+        unfinished.mkdir(parents=True)
         _write_frames(unfinished / "frames.npy", scene)
         for name, picture in (("empty", scene.empty), ("dark", scene.dark)):
             mean = np.mean([picture(number) for number in range(REFERENCE_PICTURES)], axis=0, dtype=np.float64)
@@ -91,15 +91,6 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
             "needed"
         )
     return scene
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise FingerflowError(
-            f"{folder.parent} does not take a new folder ({error.strerror}); name another place"
-        ) from error
 
 
 def _write_frames(path: Path, scene: SyntheticScene) -> None:
@@ -148,14 +139,10 @@ def _scene_file(scene: SyntheticScene) -> str:
 
 def _region(scene: SyntheticScene) -> View | None:
     """Return the part of the topography view's first frame whose skin will touch; a stream cannot determine it."""
-    truth, turns = scene.truth, np.linspace(0, 2 * np.pi, 64)
-    edges = []
+    truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
-            along, across = ellipse.semi_axes[0] * np.cos(turns), ellipse.semi_axes[1] * np.sin(turns)
-            cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
-            edge = np.stack((along * cosine - across * sine, along * sine + across * cosine), axis=1) + ellipse.centre
-            skin = truth.material(edge, int(frame))
+            skin = truth.material(ellipse.edge(63), int(frame))
             edges.append(truth.topography_pixels(truth.positions(skin, 0)))
     if not edges:
         return None

@@ -227,22 +227,11 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
         numbers.insert(numbers.end(), {8e-3, 2500, 200, 110, 2500, 31000, 0.1, 0.1, 500, 0.7});
     const auto size = static_cast<std::size_t>(batch);
     std::vector<double> bone(2 * size), rubbed(mu.size()), step(size, 1e-6), time(size);
-    const std::int64_t steps = 3;
-    std::vector<double> record(size * static_cast<std::size_t>(steps * (2 + 2 * (3 * count + 2))));
-    std::vector<std::int64_t> counts(3 * size);
+    std::vector<std::int64_t> counts(2 * size);
     const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
-                                      rubbed.data(), step.data(), time.data(), counts.data(), record.data(), batch, count, 0, 0,
-                                      100000, steps, 1e-6, 5e-4};
+                                      rubbed.data(), step.data(), time.data(), counts.data(), batch, count, 0, 0, 100000, 1e-6, 5e-4};
     fingerflow_press_skin(&given, threads);
     expect(time[0] == 5e-4, "skin chain, to its end");
-    const auto numbers_each = static_cast<std::size_t>(3 * count + 2);
-    std::vector<double> wanted(size * numbers_each, 1), result(wanted.size()), stiffness(6 * size), of_friction(mu.size());
-    const std::vector<std::int64_t> kept(size, steps);
-    const std::vector<double> still(2 * size), none(mu.size());
-    const fingerflow_skin_back back{reference.data(), numbers.data(), mu.data(), reference.data(), still.data(), none.data(),
-                                    record.data(), wanted.data(), kept.data(), stiffness.data(), of_friction.data(), result.data(),
-                                    batch, count, 0, 0, steps};
-    fingerflow_press_skin_back(&back, threads);
 }
 
 template <class Real>

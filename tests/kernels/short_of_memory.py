@@ -50,15 +50,9 @@ def calls() -> dict[str, Callable[[], Any]]:
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
     moving = one.float().expand(-1, 2, -1, -1) / 100
-    friction = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
 
     on_tall = tuple(one.numpy() for one in (tall, *(one.repeat(1, 1, 4, 1) for one in (light, 0 * light))))
     limits = np.full(2, 0.5, np.float32)
-
-    def chain() -> Any:
-        with torch.enable_grad():
-            pressed = press(friction, elements=9)
-            return (pressed.position.detach(), *torch.autograd.grad(pressed.divergence.sum(), friction))
 
     cells = torch.ones(2, 1, *(side // 2 for side in one.shape[2:]))
     of_image = torch.ones(2)
@@ -110,7 +104,7 @@ def calls() -> dict[str, Callable[[], Any]]:
             "triangle_strain": lambda: triangle_strain(
                 points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
             ),
-            "skin_chain": chain,
+            "skin_chain": lambda: press(torch.tensor([0.2, 0.6]), elements=9).position,
         }
         | on_arrays(tall)
     )

@@ -62,25 +62,6 @@ def test_same_laws_and_motions(
     same(call(), once(portable, (exponent, *given), call))
 
 
-@pytest.mark.parametrize("given", [{"tangential_n": 0.05}, {"indentation_m": 2e-4, "slide_m": 2e-5}])
-@pytest.mark.parametrize("elements", [9, 40])
-def test_same_derivatives(instruction_set: int, portable: Portable, elements: int, given: dict[str, float]) -> None:
-    def slopes() -> list[torch.Tensor]:
-        names = ("membrane_stiffness", "tissue_stiffness", "contact_stiffness", "friction_stiffness", "poisson_ratio")
-        mu = torch.tensor([0.04, 0.5, 1.0], dtype=torch.float64, requires_grad=True)
-        skin = PARAMETERS["lab"]
-        values = [torch.tensor(getattr(skin, name), dtype=torch.float64, requires_grad=True) for name in names]
-        found = press(mu, replace(skin, **dict(zip(names, values, strict=True))), elements=elements, **given)
-        wanted = (
-            found.position[..., 0].square().sum() + found.friction_force[..., elements // 2 :].sum() + found.bone.sum()
-        )
-        return list(torch.autograd.grad(wanted, [mu, *values]))
-
-    for found, expected in zip(slopes(), once(portable, (elements, *given), slopes), strict=True):
-        assert expected.abs().max() > 0
-        torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9 * expected.abs().max().item())
-
-
 def test_steps_that_never_keep_the_tolerance_end(instruction_set: int, portable: Portable) -> None:
     def lost() -> None:
         with pytest.raises(RuntimeError, match="raise the tolerance"):

@@ -9,13 +9,17 @@ from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import named
 
 
-def chain_of(parameters: str = "lab", elements: int = 41) -> Chain:
-    return Chains.of(named(parameters), elements, torch.Size(())).single(0)
+def chain_of(elements: int = 41) -> Chain:
+    return Chains.of(named("lab"), elements, torch.Size(())).single(0)
+
+
+def nodes_of(chain: Chain) -> Array:
+    """Return the nodes (N + 1, 2) of the undeformed chain."""
+    return np.vstack((chain.reference, (0.0, 0.0)))
 
 
 def begun(chain: Chain) -> State:
-    count = len(chain.reference)
-    return State(chain.reference.copy(), np.zeros(2), np.zeros(count), np.zeros((count, 2)), np.zeros(2))
+    return State(nodes_of(chain), np.zeros(len(chain.reference)))
 
 
 def held_load(newton: float, along: float = 0.0) -> Load:
@@ -23,10 +27,22 @@ def held_load(newton: float, along: float = 0.0) -> Load:
     return Load(force, force, np.zeros(2, dtype=bool))
 
 
-def bent(chain: Chain, seed: int = 0, size: float = 3e-5) -> tuple[Array, Array]:
-    """A place and a bone that are anywhere, with some elements on the plate."""
-    random = np.random.default_rng(seed)
-    return (
-        chain.reference + size * random.standard_normal(chain.reference.shape) - np.array([0, 2e-4]),
-        np.array([2e-5, -2.3e-4]),
+def bent(chain: Chain, size: float = 3e-5) -> Array:
+    """Return nodes (N + 1, 2) displaced at random, with some elements on the plate."""
+    off = size * np.random.default_rng(0).standard_normal(chain.reference.shape) - np.array([0, 2e-4])
+    return nodes_of(chain) + np.vstack((off, (2e-5, -2.3e-4)))
+
+
+def energy(chain: Chain, nodes: Array) -> float:
+    """Return the elastic energy (J) of links, tissue, nail and plate, as in the docstring of `skin_chain`."""
+    place, bone = nodes[:-1], nodes[-1]
+    moved = place - chain.reference - bone
+    line = np.hypot(*(place - chain.centre - bone).T)
+    parts = (
+        chain.membrane * np.square(np.diff(moved, axis=0)).sum(),
+        chain.tissue * np.square(line - chain.radius).sum(),
+        chain.shear * np.square(moved).sum(),
+        chain.nail * np.square(moved[[0, -1]]).sum(),
+        chain.contact * np.square(np.minimum(place[:, 1], 0)).sum(),
     )
+    return float(sum(parts)) / 2

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.models.half_space import Stress, stress, stress_linear
+from fingerflow.models.half_space import stress
 
 PLACES = [0.0, 0.1, 0.4999, 0.5, 0.6, 3.0, -70.0]  # strip widths from the middle
 DEPTHS = [1e-6, 1e-3, 0.1, 1.0, 2.1, 10.0, 300.0]
@@ -20,25 +20,20 @@ def tensor(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
-def strip_exactly(y: float, z: float, mean: float, slope: float, load: str) -> list[float]:
-    """Antiderivatives of the six kernels for a load mean + slope s on -1/2 to 1/2."""
+def strip_exactly(y: float, z: float, load: str) -> list[float]:
+    """Return the stresses under a load of 1 on -1/2 to 1/2 by antiderivatives of the four kernels."""
     with mpmath.workdps(60):
         y, z = mpmath.mpf(y), mpmath.mpf(z)
-        # Of 2 r^k z^(3-k) / R^4, k = 0 to 4 (with one more power of z taken off for the last).
+        # Of 2 r^k z^(3-k) / R^4, k = 0 to 3.
         primitives = [
             lambda r: r * z / (r * r + z * z) + mpmath.atan(r / z),
             lambda r: -z * z / (r * r + z * z),
             lambda r: mpmath.atan(r / z) - r * z / (r * r + z * z),
             lambda r: mpmath.log(r * r + z * z) + z * z / (r * r + z * z),
-            lambda r: 2 * r + r * z * z / (r * r + z * z) - 3 * z * mpmath.atan(r / z),
         ]
-        a, b = y + 0.5, y - 0.5
-        k = [primitive(a) - primitive(b) for primitive in primitives]
-        # s = y - r: the load is (mean + slope y) - slope r; r times a kernel is the next one, z times but for the last.
-        more = [z * k[1], z * k[2], z * k[3], k[4]]
-        at = [(mean + slope * y) * k[i] - slope * more[i] for i in range(4)]
+        kernels = [primitive(y + 0.5) - primitive(y - 0.5) for primitive in primitives]
         powers = {"pressure": (2, 0, 1), "traction": (3, 1, 2)}[load]
-        return [float(-at[i] / mpmath.pi) for i in powers]
+        return [float(-kernels[k] / mpmath.pi) for k in powers]
 
 
 @pytest.mark.parametrize("load", ["pressure", "traction"])
@@ -47,21 +42,7 @@ def test_a_uniform_strip_to_12_digits(z: float, load: str) -> None:
     loads = (ONE, NONE) if load == "pressure" else (NONE, ONE)
     for y in PLACES:
         found = [part.item() for part in stress(y, z, STRIP, *loads)]
-        assert found == pytest.approx(strip_exactly(y, z, 1, 0, load), rel=1e-12, abs=0), y
-
-
-@pytest.mark.parametrize("load", ["pressure", "traction"])
-@pytest.mark.parametrize("z", DEPTHS)
-def test_a_linear_strip_to_12_digits(z: float, load: str) -> None:
-    """Relative to the same load without its sign: 1 + 3 s changes sign, and its stress passes through 0."""
-    ends = tensor(-0.5, 2.5)
-    loads = (ends, 0 * ends) if load == "pressure" else (0 * ends, ends)
-    for y in PLACES:
-        found = [part.item() for part in stress_linear(y, z, STRIP, *loads)]
-        expected = strip_exactly(y, z, 1, 3, load)
-        scale = [abs(part) for part in strip_exactly(y, z, 1, 0, load)]
-        for one, exact, size in zip(found, expected, scale, strict=True):
-            assert abs(one - exact) <= 1e-12 * max(abs(exact), size), (y, one, exact)
+        assert found == pytest.approx(strip_exactly(y, z, load), rel=1e-12, abs=0), y
 
 
 def test_many_strips_are_the_sum_of_each() -> None:
@@ -73,10 +54,6 @@ def test_many_strips_are_the_sum_of_each() -> None:
     assert whole.shape == (3, 9, 2)
     each = sum(torch.stack(stress(y, z, edges[k : k + 2], pressure[k : k + 1], traction[k : k + 1])) for k in range(11))
     torch.testing.assert_close(whole, each, rtol=1e-12, atol=1e-14)
-    # Linear loads that happen to be constant are the constant ones; a fine staircase comes near a linear one.
-    level = stress_linear(y, z, edges, torch.full((12,), 0.7), torch.full((12,), -0.2))
-    same = stress(y, z, edges, torch.full((11,), 0.7), torch.full((11,), -0.2))
-    torch.testing.assert_close(torch.stack(level), torch.stack(same), rtol=1e-12, atol=1e-14)
 
 
 def test_batches_and_depth_maps_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,17 +119,17 @@ def test_decays_as_a_line_load_does() -> None:
 
 
 def test_below_a_hertzian_line_contact() -> None:
-    """Johnson, equations 4.45: on the axis under p0 sqrt(1 - s^2 / a^2), from 4000 linear pieces."""
-    nodes = torch.sin(torch.linspace(-math.pi / 2, math.pi / 2, 4001, dtype=torch.float64))
-    pressure = (1 - nodes**2).clamp_min(0).sqrt()
+    """Johnson, equations 4.45: on the axis under p0 sqrt(1 - s^2 / a^2), from 4000 strips."""
+    edges = torch.sin(torch.linspace(-math.pi / 2, math.pi / 2, 4001, dtype=torch.float64))
+    pressure = (1 - ((edges[1:] + edges[:-1]) / 2) ** 2).sqrt()
     z = torch.tensor([0.05, 0.5, 0.78, 2.0, 10.0], dtype=torch.float64)
-    found = stress_linear(0.0, z, nodes, pressure)
+    found = stress(0.0, z, edges, pressure)
     root = (1 + z * z).sqrt()
     torch.testing.assert_close(found.sigma_y, -((1 + 2 * z * z) / root - 2 * z), rtol=1e-5, atol=1e-8)
     torch.testing.assert_close(found.sigma_z, -1 / root, rtol=1e-6, atol=0)
     assert found.tau_yz.abs().max() < 1e-12
     deep = torch.linspace(0.7, 0.9, 201, dtype=torch.float64)
-    largest = stress_linear(0.0, deep, nodes, pressure)
+    largest = stress(0.0, deep, edges, pressure)
     difference = (largest.sigma_y - largest.sigma_z).abs() / 2
     assert difference.max().item() == pytest.approx(0.30, abs=1e-3)  # at 0.78 a
     assert deep[difference.argmax()].item() == pytest.approx(0.78, abs=0.01)
@@ -188,14 +165,7 @@ def test_differentiable() -> None:
     edges = tensor(-0.5, 0.1, 0.7).requires_grad_()
     pressure, traction = tensor(1.0, 2.0).requires_grad_(), tensor(0.3, -0.4).requires_grad_()
 
-    def each(*given: Tensor) -> Stress:
-        return stress(*given)
-
-    def linear(y: Tensor, z: Tensor, edges: Tensor, pressure: Tensor) -> Stress:
-        return stress_linear(y, z, edges, torch.cat((pressure, pressure[:1])))
-
-    assert torch.autograd.gradcheck(each, (y, z, edges, pressure, traction))
-    assert torch.autograd.gradcheck(linear, (y, z, edges, pressure))
+    assert torch.autograd.gradcheck(stress, (y, z, edges, pressure, traction))
 
 
 @pytest.mark.parametrize(
@@ -212,8 +182,3 @@ def test_differentiable() -> None:
 def test_bad_input_is_refused(y: float, z: float, edges: Tensor, pressure: Tensor, match: str) -> None:
     with pytest.raises(ValueError, match=match):
         stress(y, z, edges, pressure)
-
-
-def test_a_linear_load_needs_a_value_a_node() -> None:
-    with pytest.raises(ValueError, match="one value a node"):
-        stress_linear(0.0, 1.0, STRIP, ONE)

@@ -6,15 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from chains import begun, chain_of, held_load
+from chains import begun, chain_of, energy, held_load, nodes_of
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from bench.suites.skin_chain import runge_kutta
 from fingerflow.models import skin_implicit
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import PressedChain, follow, press
-from fingerflow.models.skin_explicit import REAL_LIMIT, ChainState, largest_step, march, rates
-from fingerflow.models.skin_forces import elastic_forces, energy
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 
 LAB = PARAMETERS["lab"]
@@ -135,11 +133,11 @@ def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(skin_implicit, "_growth", lambda error: 1.0)
 
     def end(count: int) -> np.ndarray:
-        state = replace(first, place=first.place.copy(), step=0.02 / count)
+        state = replace(first, step=0.02 / count)
         skin_implicit.advance(chain, state, mu, load, 0.02, 1.0, 0.0)
         assert state.steps - first.steps == count
-        assert (state.place[:, 1] < 0).sum() == (first.place[:, 1] < 0).sum() == 5
-        return state.place
+        assert (state.nodes[:-1, 1] < 0).sum() == (first.nodes[:-1, 1] < 0).sum() == 5
+        return state.nodes
 
     fine = end(640)
     errors = [np.abs(end(count) - fine).max() for count in (20, 40, 80)]
@@ -157,113 +155,34 @@ def test_the_tolerance_rules_the_error() -> None:
 
 
 def test_the_same_rest_by_explicit_runge_kutta() -> None:
-    """Another method, another order: after 30 ms the same places to 10 nm, the same friction forces."""
+    """SciPy's method of order 5 on the rates of Dahl's force: after 30 ms the same places to 10 nm, the same forces."""
     chain = chain_of(elements=41)._replace(bone_damping=5.0)  # a slow bone: longer steps are stable
-    mu, load = np.full(41, 0.3), held_load(3.0)
-    implicit, explicit = begun(chain), begun(chain)
+    mu, load, implicit = np.full(41, 0.3), held_load(3.0), begun(chain)
     skin_implicit.advance(chain, implicit, mu, load, 0.03, 1e-9, 0.0)
-    march(chain, explicit, mu, load, 0.03, 0.98 * largest_step(chain))
-    assert np.abs(explicit.place - implicit.place).max() < 1e-8
-    assert np.abs(explicit.friction - implicit.friction).max() < 3e-5
-    assert np.abs(implicit.place - chain.reference).max() > 1e-4
-
-
-def test_the_published_integrator_keeps_the_limit_where_it_falls() -> None:
-    """Pressed and then lifted: what no longer touches is held by no friction, between steps nor within one."""
-    chain = chain_of(elements=41)._replace(bone_damping=5.0)
-    mu, state = np.full(41, 0.3), begun(chain)
-    march(chain, state, mu, held_load(3.0), 0.03, 0.98 * largest_step(chain))
-    assert np.abs(state.friction).max() > 1e-2
-    march(chain, state, mu, held_load(-1.0), 0.03, 0.98 * largest_step(chain))
-    limit = mu * chain.contact * np.maximum(-state.place[:, 1], 0)
-    assert (np.abs(state.friction) <= limit * (1 + 1e-12)).all()
-    assert (limit == 0).any()
-    none, left = (
-        rates(chain, mu, ChainState(state.place, state.bone, np.full(41, force)), np.zeros(2)).place
-        for force in (0.0, 1.0)
-    )
-    np.testing.assert_array_equal(left[limit == 0], none[limit == 0])
-
-
-def test_the_published_integrator_is_of_fourth_order_and_adds_the_load() -> None:
-    """Equation 6 shows explicit Euler, whose error halves with the step, and its first line subtracts the load: so the
-    bone would go the other way. Off the plate, where nothing has a kink, errors fall by 16 or more: 30 and 20 here."""
-    chain = chain_of(elements=21)
-    duration, load = 4 * largest_step(chain), held_load(-1.0, along=2.0)
-
-    def after(steps: int) -> np.ndarray:
-        state = begun(chain)
-        march(chain, state, np.zeros(21), load, duration, duration / steps * (1 + 1e-9))
-        assert (state.bone > 1e-6).all()
-        return state.place
-
-    exact = after(640)
-    errors = [np.abs(after(steps) - exact).max() for steps in (10, 20, 40)]
-    assert errors[0] > 12 * errors[1]
-    assert errors[1] > 12 * errors[2]
-
-
-def test_a_step_over_the_bound_is_refused_and_was_wrong() -> None:
-    """2.785 over the largest eigenvalue, here of the whole matrix; the printed 2.5 us are over it with the lab's."""
-    chain = chain_of(elements=501)
-    assert 2.0e-6 < largest_step(chain) < 2.5e-6
-    load, mu = held_load(3.0), np.full(501, 0.6)
-    with pytest.raises(ValueError, match=r"a step of 2\.5e-06 s: .* stable up to 2\.48"):
-        march(chain, begun(chain), mu, load, 1e-3, 2.5e-6)
-    small = chain_of(elements=21)
-    rates = []
-    for k in range(44):
-        off = np.zeros(44)
-        off[k] = 1e-9
-        place, bone = small.reference + off[:42].reshape(21, 2), off[42:]
-        forces, on_bone = elastic_forces(small, place, bone)
-        rates.append(np.concatenate((forces.ravel() / small.damping, on_bone / small.bone_damping)) / 1e-9)
-    largest = np.abs(np.linalg.eigvals(np.array(rates).T)).max()
-    assert REAL_LIMIT / largest >= largest_step(small) > 0.8 * REAL_LIMIT / largest
-
-
-def test_beyond_the_bound_it_would_drift_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain = chain_of(elements=41)
-    right, wrong = begun(chain), begun(chain)
-    bound = largest_step(chain)
-    mu, load = np.full(41, 0.3), held_load(3.0)
-    march(chain, right, mu, load, 1e-3, 0.97 * bound)
-    monkeypatch.setattr("fingerflow.models.skin_explicit.largest_step", lambda chain: 1.0)
-    with np.errstate(all="ignore"):
-        march(chain, wrong, mu, load, 1e-3, 1.2 * bound)
-    assert not np.abs(wrong.place - right.place).max() < 1e-5
+    place, rubbed = runge_kutta(chain, mu, load.first, 0.03)
+    assert np.abs(place - implicit.nodes[:-1]).max() < 1e-8
+    assert np.abs(rubbed - implicit.friction).max() < 3e-5
+    assert np.abs(place - chain.reference).max() > 1e-4
 
 
 def test_energy_is_only_lost() -> None:
     """Work of the load = stored + lost in dampers + lost in friction, and that is never negative, step by step."""
     chain = chain_of(elements=61)
-    mu, load, state, rows = np.full(61, 0.15), held_load(3.0, along=0.3), begun(chain), []
-    skin_implicit.advance(chain, state, mu, load, 0.05, 2e-9, 0.0, rows)
-
-    def stages(row: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        size = 3 * 61 + 2
-        parts = row[2 : 2 + size], row[2 + size :]
-        return [(part[:122].reshape(61, 2), part[122:124], part[124:]) for part in parts]
-
-    place, bone, rubbed = chain.reference, np.zeros(2), np.zeros(61)
+    mu, load, state = np.full(61, 0.15), held_load(3.0, along=0.3), begun(chain)
+    nodes, rubbed = nodes_of(chain), np.zeros(61)
     lost, damped, worst = 0.0, 0.0, 0.0
-    for row in rows:
-        spans = (1 - 1 / math.sqrt(2)) * 2 * row[1], (math.sqrt(2) - 1) * row[1]
-        for (after, bone_after, rubbed_after), span in zip(stages(row), spans, strict=True):
-            slid = after[:, 0] - place[:, 0]
-            taken = (rubbed + rubbed_after) / 2 * slid  # by the trapezium
-            gained = (rubbed_after**2 - rubbed**2) / (2 * chain.friction_stiffness)
-            worst = min(worst, float((taken - gained).sum()))
-            lost += float(taken.sum())
-            damped += (
-                chain.damping * np.square(after - place).sum() + chain.bone_damping * np.square(bone_after - bone).sum()
-            ) / span
-            place, bone, rubbed = after, bone_after, rubbed_after
-    work = float(load.first @ state.bone)
-    stored = energy(chain, state.place, state.bone)
+    for span in np.diff(np.concatenate(([0.0], np.geomspace(1e-7, 0.05, 400)))):
+        skin_implicit.advance(chain, state, mu, load, span, 2e-9, 0.0)
+        taken = (rubbed + state.friction) / 2 * (state.nodes - nodes)[:-1, 0]  # by the trapezium
+        gained = (state.friction**2 - rubbed**2) / (2 * chain.friction_stiffness)
+        worst = min(worst, float((taken - gained).sum()))
+        lost += float(taken.sum())
+        damped += float((chain.dampers * np.square(state.nodes - nodes)).sum()) / span
+        nodes, rubbed = state.nodes, state.friction
+    work = float(load.first @ nodes[-1])
     assert lost > 0.003 * work > 0
     assert worst > -1e-4 * lost
-    assert stored + damped + lost == pytest.approx(work, rel=0.02)
+    assert energy(chain, nodes) + damped + lost == pytest.approx(work, rel=0.02)
 
 
 def test_load_and_displacement_control_meet() -> None:
@@ -321,48 +240,16 @@ def test_a_force_trace_and_friction_in_time() -> None:
     torch.testing.assert_close(batch.position[:, 1], stuck.position, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_derivatives_are_those_of_the_press(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against differences of presses with nearly the same steps; in friction, stiffnesses, sigma_0 and nu."""
-    if not compiled:
-        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    elif not kernels.serve():
-        pytest.skip("the compiled kernels were not built or are turned off")
-    count = 31
-    names = ("membrane_stiffness", "tissue_stiffness", "contact_stiffness", "friction_stiffness", "poisson_ratio")
-    given = [torch.tensor(0.05, dtype=torch.float64)]
-    given += [torch.tensor(getattr(LAB, name), dtype=torch.float64) for name in names]
-
-    def measure(mu: Tensor, *values: Tensor) -> Tensor:
-        found = press(mu, replace(LAB, **dict(zip(names, values, strict=True))), elements=count, tangential_n=0.1)
-        return found.divergence + 20 * found.contact_length + found.bone.sum() + found.friction_force[12:].sum()
-
-    needed = [value.clone().requires_grad_() for value in given]
-    slopes = torch.autograd.grad(measure(*needed), needed)
-    for k, slope in enumerate(slopes):
-        low, high = ([value * (1 + sign * 1e-6 * (j == k)) for j, value in enumerate(given)] for sign in (-1, 1))
-        difference = (measure(*high) - measure(*low)) / (2e-6 * given[k])
-        assert slope.item() == pytest.approx(difference.item(), rel=1e-4), k
-
-
-def test_derivatives_of_a_given_motion() -> None:
-    mu = torch.tensor([0.1, 0.4], dtype=torch.float64, requires_grad=True)
-
-    def carried(mu: Tensor) -> Tensor:
-        return press(mu, elements=31, indentation_m=2e-4, slide_m=3e-5).friction_force.sum(-1)
-
-    (slope,) = torch.autograd.grad(carried(mu).sum(), mu)
-    with torch.no_grad():
-        difference = (carried(mu * (1 + 1e-6)) - carried(mu * (1 - 1e-6))) / (2e-6 * mu)
-    torch.testing.assert_close(slope, difference, rtol=1e-3, atol=0)
-
-
 def test_what_has_no_derivative_says_so() -> None:
-    radius = torch.tensor(8e-3, requires_grad=True)
-    with pytest.raises(ValueError, match="have no derivative here"):
-        press(0.1, replace(LAB, radius=radius), elements=11)
-    with pytest.raises(ValueError, match="use press"):
-        follow(torch.tensor(0.1, requires_grad=True), torch.tensor([0.0, 0.1]), 3.0, elements=11)
+    needed = torch.tensor(0.1, requires_grad=True)
+    for call in (
+        lambda: press(needed, elements=11),
+        lambda: press(lambda time, x: needed, elements=11),
+        lambda: press(0.1, replace(LAB, radius=needed), elements=11),
+        lambda: follow(0.1, torch.tensor([0.0, 0.1]), needed, elements=11),
+    ):
+        with pytest.raises(ValueError, match="a press has no gradient: detach"):
+            call()
 
 
 def test_stress_at_depth_beside_the_papers_20_percent() -> None:

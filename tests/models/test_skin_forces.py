@@ -1,49 +1,40 @@
-"""Forces against the energy they come from, slopes against forces, Dahl's friction against its own model."""
+"""Forces against the energy they come from, the matrix against forces, the undeformed chain, parameter sets."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from chains import bent, chain_of
+from chains import bent, chain_of, energy, nodes_of
 
-from fingerflow.models.friction import dahl_step
-from fingerflow.models.skin_forces import elastic_forces, elastic_slopes, energy, friction, half_circle
+from fingerflow.models.friction import Friction, dahl_friction
+from fingerflow.models.skin_forces import elastic_forces, half_circle
 from fingerflow.models.skin_parameters import PARAMETERS, named
 from fingerflow.models.skin_solve import Arrow
 
 
 def test_forces_are_minus_the_slopes_of_the_energy() -> None:
     chain = chain_of(elements=11)
-    place, bone = bent(chain)
-    forces, on_bone = elastic_forces(chain, place, bone)
-    assert (place[:, 1] < 0).any()
-    step = 1e-9
-    for i in range(11):
-        for axis in range(2):
-            off = np.zeros_like(place)
-            off[i, axis] = step
-            slope = (energy(chain, place + off, bone) - energy(chain, place - off, bone)) / (2 * step)
-            assert -slope == pytest.approx(forces[i, axis], rel=1e-5, abs=1e-6)
-    for axis in range(2):
-        off = step * np.eye(2)[axis]
-        slope = (energy(chain, place, bone + off) - energy(chain, place, bone - off)) / (2 * step)
-        assert -slope == pytest.approx(on_bone[axis], rel=1e-5, abs=1e-6)
+    nodes, step = bent(chain), 1e-9
+    assert (nodes[:-1, 1] < 0).any()
+    slopes = np.zeros_like(nodes)
+    for at in np.ndindex(nodes.shape):
+        off = np.zeros_like(nodes)
+        off[at] = step
+        slopes[at] = (energy(chain, nodes + off) - energy(chain, nodes - off)) / (2 * step)
+    np.testing.assert_allclose(elastic_forces(chain, nodes), -slopes, rtol=1e-5, atol=1e-6)
 
 
 def test_undeformed_is_at_rest() -> None:
     chain = chain_of()
-    forces, on_bone = elastic_forces(chain, chain.reference, np.zeros(2))
-    assert np.abs(forces).max() < 1e-11
-    assert np.abs(on_bone).max() < 1e-11
+    assert np.abs(elastic_forces(chain, nodes_of(chain))).max() < 1e-11
 
 
 def test_links_pull_back_as_equation_4_does_not() -> None:
     """Printed as -k_m (U_(i-1) - 2 U_i + U_(i+1)), which would push an element further out."""
     chain = chain_of()
-    moved = chain.reference.copy()
-    moved[20] += (1e-5, 1e-5)
-    forces, _ = elastic_forces(chain, moved, np.zeros(2))
+    nodes = nodes_of(chain)
+    nodes[20] += (1e-5, 1e-5)
+    forces = elastic_forces(chain, nodes)
     printed = -chain.membrane * (0 - 2 * 1e-5 + 0)
     assert (forces[20] < -chain.membrane * 1e-5).all()
     assert printed > 0
@@ -51,69 +42,38 @@ def test_links_pull_back_as_equation_4_does_not() -> None:
 
 
 def test_the_matrix_is_the_slope_of_the_forces() -> None:
-    """damping I + c K, by differences; and the solution solves it, transposed as well."""
+    """damping I + c K, by differences; the solution solves it, also where one direction of the bone is held."""
     chain = chain_of(elements=9)
-    place, bone = bent(chain)
+    nodes = bent(chain)
     before = 1e-3 * np.random.default_rng(3).standard_normal(9)
-    mu, old, c = np.full(9, 0.4), place + 1e-6 * np.random.default_rng(4).standard_normal(place.shape), 0.7
+    old = nodes[:-1] + 1e-6 * np.random.default_rng(4).standard_normal((9, 2))
+    steep, c = np.full(9, 0.4 * chain.contact), 0.7
 
-    def forces(place: np.ndarray, bone: np.ndarray) -> np.ndarray:
-        on_elements, on_bone = elastic_forces(chain, place, bone)
-        on_elements[:, 0] -= friction(chain, mu, before, old, place).force
-        return np.concatenate((on_elements.ravel(), on_bone))
+    def rubbed(nodes: np.ndarray) -> Friction:
+        return dahl_friction(before, old, nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
 
-    matrix = np.diag(np.concatenate((np.full(18, chain.damping), np.full(2, chain.bone_damping))))
+    def forces(nodes: np.ndarray) -> np.ndarray:
+        found = elastic_forces(chain, nodes)
+        found[:-1, 0] -= rubbed(nodes).force
+        return found.ravel()
+
+    matrix = np.diag(np.broadcast_to(chain.dampers, (10, 2)).ravel())
     step = 1e-11
     for k in range(20):
         off = np.zeros(20)
         off[k] = step
-        move = off[:18].reshape(9, 2), off[18:]
-        slope = (forces(place + move[0], bone + move[1]) - forces(place - move[0], bone - move[1])) / (2 * step)
+        slope = (forces(nodes + off.reshape(10, 2)) - forces(nodes - off.reshape(10, 2))) / (2 * step)
         matrix[:, k] -= c * slope
-    rubbing = friction(chain, mu, before, old, place)
+    rubbing = rubbed(nodes)
     assert (rubbing.along > 0).any()
     assert (rubbing.above != 0).any()
     side = np.random.default_rng(5).standard_normal(20)
-    free, one_held = np.zeros(2, dtype=bool), np.array([True, False])
-    arrow = Arrow(chain, elastic_slopes(chain, place, bone), rubbing, c, free)
-    for solved, exact in (
-        (arrow.solve(side[:18].reshape(9, 2), side[18:]), np.linalg.solve(matrix, side)),
-        (arrow.solve_transposed(side[:18].reshape(9, 2), side[18:]), np.linalg.solve(matrix.T, side)),
-        (arrow.times(side[:18].reshape(9, 2), side[18:]), matrix @ side),
-    ):
-        found = np.concatenate((solved[0].ravel(), solved[1]))
-        np.testing.assert_allclose(found, exact, rtol=2e-4, atol=2e-5 * np.abs(exact).max())
-    held = Arrow(chain, elastic_slopes(chain, place, bone), rubbing, c, one_held)
-    moved, motion = held.solve(side[:18].reshape(9, 2), side[18:])
-    assert motion[0] == side[18]
-    rows = matrix @ np.concatenate((moved.ravel(), motion)) - side
-    assert np.abs(np.delete(rows, 18)).max() < 1e-3 * np.abs(side).max()
-
-
-@pytest.mark.parametrize("exponent", [0.0, 0.7, 1.0, 1.8])
-def test_friction_is_dahls_and_its_slopes_are_right(exponent: float) -> None:
-    """Under the middle of both limits, then cut to the last; slopes by differences, where nothing switches."""
-    chain = chain_of(elements=41)._replace(exponent=exponent)
-    random = np.random.default_rng(7)
-    old, place = (np.stack((1e-5 * random.standard_normal(41), 2e-6 * random.standard_normal(41)), 1) for _ in range(2))
-    before, mu = 3e-3 * random.standard_normal(41), 0.5 + random.random(41)
-    found = friction(chain, mu, before, old, place)
-    limits = [mu * chain.contact * np.maximum(-z, 0) for z in (old[:, 1], place[:, 1])]
-    step = dahl_step(
-        *(torch.from_numpy(x) for x in (before, place[:, 0] - old[:, 0], (limits[0] + limits[1]) / 2)),
-        stiffness=chain.friction_stiffness,
-        exponent=exponent,
-    ).numpy()
-    np.testing.assert_allclose(found.force, np.clip(step, -limits[1], limits[1]), rtol=1e-9, atol=1e-12)
-    assert 5 < (found.force != 0).sum() < 36
-    h = 1e-12
-    for axis, slope in enumerate((found.along, found.above)):
-        off = h * np.eye(2)[axis]
-        values = [friction(chain, mu, before, old, place + k * off).force for k in (-1, 0, 1)]
-        low, high = (values[1] - values[0]) / h, (values[2] - values[1]) / h
-        smooth = np.abs(high - low) < 1e-3 * (np.abs(high) + 1)
-        assert smooth.sum() > 30
-        np.testing.assert_allclose(slope[smooth], ((high + low) / 2)[smooth], rtol=2e-3, atol=0.5)
+    found = Arrow(chain, nodes, rubbing, c, np.zeros(2, dtype=bool)).solve(side.reshape(10, 2)).ravel()
+    exact = np.linalg.solve(matrix, side)
+    np.testing.assert_allclose(found, exact, rtol=2e-4, atol=2e-5 * np.abs(exact).max())
+    held = Arrow(chain, nodes, rubbing, c, np.array([True, False])).solve(side.reshape(10, 2)).ravel()
+    assert held[18] == side[18]
+    assert np.abs(np.delete(matrix @ held - side, 18)).max() < 1e-3 * np.abs(side).max()
 
 
 @pytest.mark.parametrize("count", [4, 5, 40, 501])

@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fingerflow.models import observer as observing
-from fingerflow.models.partial_slip import fit_friction, judge_trial, simulate_trial
+from fingerflow.models.partial_slip import fit_friction, judge_trial
 from fingerflow.report import observer, partial_slip
+from tests.slip_trials import simulate_trial
 
 
 @pytest.fixture

@@ -8,13 +8,14 @@ import pytest
 import xarray as xr
 
 from fingerflow import cli, load_scene, process
-from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial, simulate_trial
+from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
 from fingerflow.report.views import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
+from tests.slip_trials import simulate_trial
 
 pytestmark = pytest.mark.long
 

@@ -65,22 +65,6 @@ def test_skin_moves_outside_of_the_stuck_ellipse_alone(trial: PartialSlip, frame
     assert np.abs(np.diff(moved, axis=1)).max() < 0.5 * 0.05
 
 
-@TRIALS
-@pytest.mark.parametrize("frame", [0, 100, 200, 220, 228])
-def test_slow_share_is_the_share_of_slow_skin(trial: PartialSlip, frame: int) -> None:
-    ellipse = trial.truth.ellipse(frame)
-    assert ellipse is not None
-    draw = np.random.default_rng(frame)
-    radius, turn = np.sqrt(draw.random(20000)), 2 * np.pi * draw.random(20000)
-    along, across = radius * np.cos(turn) * ellipse.semi_axes[0], radius * np.sin(turn) * ellipse.semi_axes[1]
-    cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
-    position = np.stack((along * cosine - across * sine, along * sine + across * cosine), -1) + ellipse.centre
-    moved = np.linalg.norm(position - trial.truth.material(position, frame), axis=-1)
-    for limit in (0.04, 0.01):
-        # Four standard errors of a share of 20 000 draws.
-        assert np.mean(moved < limit) == pytest.approx(trial.slow_share(frame, limit), abs=0.015)
-
-
 def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None:
     assert ABRUPT.slow_share(ABRUPT.n_frames - 1) == 0
     first, last = ABRUPT.truth.ellipse(0), ABRUPT.truth.ellipse(ABRUPT.n_frames - 1)

@@ -48,7 +48,6 @@ __all__ = [
     "otsu_threshold",
     "prepare_templates",
     "press_skin",
-    "press_skin_back",
     "real_contact_mask",
     "sample_windows",
     "search_windows",
@@ -96,7 +95,6 @@ flow_to_pixels = torch_op()(flow.flow_to_pixels)
 flow_warp = torch_op()(flow.flow_warp)
 level_shapes = flow.level_shapes
 press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
-press_skin_back = torch_op()(skin.press_skin_back)
 LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW
 corners = torch_op()(tracking.corners)
 find_pairs = torch_op()(tracking.find_pairs)

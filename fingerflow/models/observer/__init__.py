@@ -1,12 +1,11 @@
 """Ideal observer: how well a trial's metric predicts what participants felt (Willemet et al. 2021, supplement)."""
 
-from fingerflow.models.observer.contrast import PermutationTest, compare_auc, permutation_test
-from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime, z_roc_slope
+from fingerflow.models.observer.discrimination import auc, compare_auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
 from fingerflow.models.observer.groups import Groups, participant_groups
+from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.psychometric import PsychometricFit, fit_psychometric
-from fingerflow.models.observer.rates import Detection, detection
 from fingerflow.models.observer.relations import (
     Anova,
     Correlation,
@@ -22,7 +21,6 @@ from fingerflow.models.observer.trials_table import Trials, leave_out_moved, rea
 __all__ = [
     "Anova",
     "Correlation",
-    "Detection",
     "Estimate",
     "Groups",
     "MetricSummary",
@@ -35,7 +33,6 @@ __all__ = [
     "compare_auc",
     "criterion_for_hits",
     "d_prime",
-    "detection",
     "fit_psychometric",
     "leave_out_moved",
     "mixed_model",
@@ -47,5 +44,4 @@ __all__ = [
     "printed_observer",
     "read_trials",
     "spearman",
-    "z_roc_slope",
 ]

@@ -40,12 +40,15 @@ class Samples:
         return tuple(units.size for units in self.units)
 
 
-def samples_of(values: Sequence[Values], participants: Sequence[ArrayLike] | None) -> tuple[list[Values], Samples, int]:
+def samples_of(
+    kinds: Sequence[ArrayLike], participants: Sequence[ArrayLike] | None
+) -> tuple[list[Values], Samples, int]:
     """Return the samples without NaN, the resampling unit of each trial, and the number of NaN trials.
 
     Raises:
         ValueError: infinite values, or participants whose shapes do not match the values.
     """
+    values = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in kinds]
     for sample in values:
         if np.isinf(sample).any():
             raise ValueError("a metric is infinite: mark what was not measured with NaN")

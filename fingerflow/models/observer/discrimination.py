@@ -1,13 +1,13 @@
-"""Discrimination of correct and incorrect trials by a metric: d', area under the ROC, and slope of the z-ROC."""
+"""Discrimination of correct and incorrect trials by a metric: d', areas under the ROC, and criterion."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fingerflow.models.observer.bootstrap import Participants, Samples, Statistic, Values, bca_interval, samples_of
-from fingerflow.models.observer.estimate import UNKNOWN, Estimate, Interval
+from fingerflow.models.observer.bootstrap import Participants, Statistic, Values, bca_interval, samples_of
+from fingerflow.models.observer.estimate import UNKNOWN, Estimate
 from fingerflow.models.observer.weighted import auc_statistic, deviation, mean
 
 
@@ -69,25 +69,45 @@ def auc(
     )
 
 
-def z_roc_slope(
-    correct: ArrayLike,
-    incorrect: ArrayLike,
+def compare_auc(
+    first: tuple[ArrayLike, ArrayLike],
+    second: tuple[ArrayLike, ArrayLike],
     *,
     participants: Participants = None,
     level: float = 0.95,
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the slope of the ROC in normal deviates, z(hits) against z(false alarms), for Gaussians: s_2 / s_1.
+    """Estimate the area under the ROC of one metric minus that of another, in the same trials.
 
-    It is 1 for equal variances. Otherwise d' averages unequal spreads, and no single number describes the ROC.
-    Arguments and errors as in `d_prime`.
+    Both areas are computed on the same resamples, so that variation common to the metrics cancels.
+
+    Args:
+        first, second: (correct, incorrect) of either metric; the n-th trial of each is the same trial. Trials that
+            lack one of the metrics are left out of both, and counted.
+        participants: of the trials, (correct, incorrect).
+
+    Returns:
+        `Estimate` of the difference: its interval excludes 0 where the metrics differ at that level.
+
+    Raises:
+        ValueError: the metrics have different numbers of trials, or as in `auc`.
     """
+    pairs = [
+        [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in pair] for pair in zip(first, second, strict=True)
+    ]
+    for one, other in pairs:
+        if one.size != other.size:
+            raise ValueError(f"{one.size} and {other.size} trials of a kind: give both metrics of the same ones")
+    known = [np.isfinite(one) & np.isfinite(other) for one, other in pairs]
+    kinds = [np.where(both, one, np.nan) for both, (one, _) in zip(known, pairs, strict=True)]
+    others = [other[both] for both, (_, other) in zip(known, pairs, strict=True)]
 
     def of(values: list[Values]) -> Statistic:
-        return lambda first, second: deviation(values[1], second) / deviation(values[0], first)
+        first_area, second_area = auc_statistic(*values), auc_statistic(*others)
+        return lambda correct, incorrect: first_area(correct, incorrect) - second_area(correct, incorrect)
 
-    return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
+    return _estimate(kinds, of, 1, participants, level, resamples, seed)
 
 
 def criterion_for_hits(
@@ -117,32 +137,29 @@ def criterion_for_hits(
 
 
 def _estimate(
-    kinds: tuple[ArrayLike, ...],
+    kinds: Sequence[ArrayLike],
     statistic: Callable[[list[Values]], Statistic],
     fewest: int,
-    participants: tuple[ArrayLike, ...] | None,
+    participants: Sequence[ArrayLike] | None,
     level: float,
     resamples: int,
     seed: int,
 ) -> Estimate:
-    arrays = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in kinds]
-    values, samples, missing = samples_of(arrays, participants)
-    value, interval, reason = _value_and_interval(statistic(values), samples, fewest, level, resamples, seed)
-    return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
-
-
-def _value_and_interval(
-    statistic: Statistic, samples: Samples, fewest: int, level: float, resamples: int, seed: int
-) -> tuple[float, Interval, str]:
+    """Estimate a statistic of kinds of trials, of which each needs ``fewest``, with its interval."""
+    values, samples, missing = samples_of(kinds, participants)
+    value, interval = math.nan, UNKNOWN
     if min(samples.sizes) < fewest:
         found = " and ".join(map(str, samples.sizes))
-        return math.nan, UNKNOWN, f"{found} trials of the kinds compared: {fewest} of each are needed"
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = float(statistic(*(np.ones((1, size)) for size in samples.sizes))[0])
-    if not math.isfinite(value):
-        return math.nan, UNKNOWN, "the metric does not vary within the trials of a kind"
-    interval, reason = bca_interval(statistic, samples, level, resamples, seed)
-    return value, interval, reason
+        reason = f"{found} trials of the kinds compared: {fewest} of each are needed"
+    else:
+        weighted = statistic(values)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = float(weighted(*(np.ones((1, size)) for size in samples.sizes))[0])
+        if math.isfinite(value):
+            interval, reason = bca_interval(weighted, samples, level, resamples, seed)
+        else:
+            value, reason = math.nan, "the metric does not vary within the trials of a kind"
+    return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
 
 
 def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Values:

@@ -109,36 +109,22 @@ def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values
 
     Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """
-    best: list[Values] | None = None
-    for quarter in (0.25, 0.5, 0.75):
-        found = _from_start(samples, quarter)
-        if best is None:
-            best = found
-        else:
-            better = found[4] > best[4]
-            best = [np.where(better, new, old) for new, old in zip(found, best, strict=True)]
-    assert best is not None
-    share, low, high, deviation, ratio = best
-    return share, low, high, deviation, ratio
-
-
-def _from_start(samples: Values, higher: float) -> list[Values]:
-    border = np.quantile(samples, 1 - higher, axis=1, keepdims=True)
-    belongs = np.where(samples > border, 0.99, 0.01)
+    border = np.quantile(samples, (0.75, 0.5, 0.25), axis=1)[..., None]
+    belongs = np.where(samples > border, 0.99, 0.01)  # (3, R, P)
     smallest = ndtri(0.75) * 1e-3
     for _ in range(_STEPS):
-        share = belongs.mean(1, keepdims=True).clip(1e-6, 1 - 1e-6)
-        high = (belongs * samples).mean(1, keepdims=True) / share
-        low = ((1 - belongs) * samples).mean(1, keepdims=True) / (1 - share)
-        spread = (belongs * (samples - high) ** 2 + (1 - belongs) * (samples - low) ** 2).mean(1, keepdims=True)
+        share = belongs.mean(-1, keepdims=True).clip(1e-6, 1 - 1e-6)
+        high = (belongs * samples).mean(-1, keepdims=True) / share
+        low = ((1 - belongs) * samples).mean(-1, keepdims=True) / (1 - share)
+        spread = (belongs * (samples - high) ** 2 + (1 - belongs) * (samples - low) ** 2).mean(-1, keepdims=True)
         variance = np.maximum(spread, smallest**2)
         upper = np.log(share) - (samples - high) ** 2 / (2 * variance)
         lower = np.log1p(-share) - (samples - low) ** 2 / (2 * variance)
         total = np.logaddexp(upper, lower)
         belongs = np.exp(upper - total)
     # One Gaussian of variance 1 has the log likelihood -1/2 per value, up to the constant.
-    likelihood = (total - np.log(variance) / 2).sum(1) + samples.shape[1] / 2
-    swapped = (high < low)[:, 0]
-    means = np.sort(np.concatenate([low, high], 1), 1)
-    upper_share = np.where(swapped, 1 - share[:, 0], share[:, 0])
-    return [upper_share, means[:, 0], means[:, 1], np.sqrt(variance[:, 0]), 2 * likelihood]
+    ratio = 2 * ((total - np.log(variance) / 2).sum(-1) + samples.shape[1] / 2)
+    best = ratio.argmax(0)[None]
+    share, low, high, variance = (np.take_along_axis(part[..., 0], best, 0)[0] for part in (share, low, high, variance))
+    upper_share = np.where(high < low, 1 - share, share)
+    return upper_share, np.minimum(low, high), np.maximum(low, high), np.sqrt(variance), ratio.max(0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize
-from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, rel_entr, xlog1py, xlogy
+from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, xlog1py, xlogy
 from scipy.stats import chi2
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
@@ -36,7 +36,6 @@ class PsychometricFit:
         width: standard deviation of the Gaussian core, in the stimulus' unit; negative for a falling curve.
         guess, lapse: share of answers at the lower asymptote, and 1 minus the share at the upper one.
         overdispersion: 0 where answers are independent, towards 1 where all answers of a block agree.
-        deviance: -2 log likelihood ratio of independent answers to the measured shares.
         trials: number of answers; `stimuli`, number of different stimuli.
         share, level: as requested.
         reason: why a number is NaN; empty otherwise.
@@ -48,7 +47,6 @@ class PsychometricFit:
     guess: float
     lapse: float
     overdispersion: float
-    deviance: float
     trials: int
     stimuli: int
     share: float
@@ -101,7 +99,7 @@ def fit_psychometric(
 
     def nothing(reason: str) -> PsychometricFit:
         nan = math.nan
-        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, nan, int(number.sum()), stimuli, share, level, reason)
+        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, int(number.sum()), stimuli, share, level, reason)
 
     if stimuli < _FEWEST_STIMULI:
         return nothing(f"{stimuli} stimuli: {_FEWEST_STIMULI} are needed")
@@ -123,7 +121,6 @@ def fit_psychometric(
         guess=fitted_guess,
         lapse=lapse,
         overdispersion=posterior.overdispersion(best),
-        deviance=posterior.deviance(best),
         trials=int(number.sum()),
         stimuli=stimuli,
         share=share,
@@ -170,13 +167,6 @@ class _Posterior:
         core = ndtr((self.x - threshold) * slope + _core(self.share, guess, lapse))
         result: Values = np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
         return result
-
-    def deviance(self, values: Values) -> float:
-        """Return the deviance of binomial counts: about blocks minus parameters where answers are independent."""
-        expected = self._expected(values)
-        terms = rel_entr(self.yes, self.number * expected)
-        terms = terms + rel_entr(self.number - self.yes, self.number * (1 - expected))
-        return 2 * float(terms.sum())
 
     def best(self) -> Values:
         """Return the parameters of the largest posterior.

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict
 
-from fingerflow.models.observer.contrast import PermutationTest, permutation_test
-from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime, z_roc_slope
+from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
+from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
@@ -26,7 +26,6 @@ class MetricSummary:
     d_prime: Estimate
     auc: Estimate
     criterion: Estimate
-    z_roc_slope: Estimate
     permutation: PermutationTest
     printed: PrintedObserver
 
@@ -59,7 +58,6 @@ def observe(
             d_prime=d_prime(correct, incorrect, participants=who, **settings),
             auc=auc(correct, incorrect, participants=who, **settings),
             criterion=criterion_for_hits(correct, hits, participants=who[0], **settings),
-            z_roc_slope=z_roc_slope(correct, incorrect, participants=who, **settings),
             permutation=permutation_test(correct, incorrect, participants=who, permutations=resamples, seed=seed),
             printed=printed_observer(correct, incorrect, hits),
         )

@@ -9,29 +9,19 @@ from fingerflow.models.partial_slip.evolution import (
     stuck_area,
 )
 from fingerflow.models.partial_slip.fit import FrictionFit, fit_friction
-from fingerflow.models.partial_slip.other_curves import coulomb_stuck_area, equal_friction_stuck_area, tada_stuck_area
-from fingerflow.models.partial_slip.traction import pressure, traction
-from fingerflow.models.partial_slip.trials import SimulatedTrial, simulate_trial
 from fingerflow.models.partial_slip.verdict import TrialVerdict, judge_trial
 
 __all__ = [
     "CurveComparison",
     "CurveScore",
     "FrictionFit",
-    "SimulatedTrial",
     "TrialVerdict",
     "compare_curves",
-    "coulomb_stuck_area",
     "critical_load_ratio",
     "critical_stuck_area",
-    "equal_friction_stuck_area",
     "fit_friction",
     "friction_ratio",
     "judge_trial",
     "load_ratio",
-    "pressure",
-    "simulate_trial",
     "stuck_area",
-    "tada_stuck_area",
-    "traction",
 ]

@@ -6,19 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, PARTIAL_SLIP, TADA
-from fingerflow.models.partial_slip.fit import (
-    STUDENT_FREEDOM,
-    finite_frames,
-    fit_family,
-    frame_noise,
-    shrinking,
-    student_scale,
-)
+from fingerflow.models.partial_slip.fit import STUDENT_FREEDOM, fit_family, frames_of_slip, student_scale
 
 Values = NDArray[np.float64]
 
 COULOMB = "Coulomb"
-_FEWEST = 10  # frames
 _CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
 
 
@@ -65,16 +57,10 @@ def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveCompari
     Raises:
         ValueError: the arrays differ in length.
     """
-    area, load = finite_frames(stuck_area, load_ratio)
-    if area.size < _FEWEST:
-        return CurveComparison({}, "", area.size, f"{area.size} frames with d² and T/N, {_FEWEST} are needed")
-    noise = frame_noise(area), frame_noise(load)
-    used = shrinking(area, load, noise)
-    frames = int(used.sum())
-    if frames < _FEWEST:
-        return CurveComparison({}, "", frames, f"the area shrinks in {frames} frames, {_FEWEST} are needed")
-    area, load = area[used], load[used]
-
+    area, load, noise, too_few = frames_of_slip(stuck_area, load_ratio)
+    frames = area.size
+    if too_few:
+        return CurveComparison({}, "", frames, too_few)
     found: dict[str, tuple[dict[str, float], float]] = {}
     for family in (PARTIAL_SLIP, EQUAL_FRICTION, TADA):
         coefficients, squared = fit_family(family, area, load, noise, np.ones((1, frames)))

@@ -37,6 +37,9 @@ def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
     """Return d^2, stuck area over contact area, at a load T/N: equation 5 solved on the branch that loading follows.
 
+    With mu_s = mu_k = mu it is (1 - T/(mu N))^(1/2). The paper prints 1 - T/(mu_k N), but with equal coefficients the
+    term in d^2 drops out of equation 5, not the one in d^4.
+
     Args:
         load_ratio: T/N; the result is NaN where it is negative or above `critical_load_ratio`.
         mu_s, mu_k: mu_s positive, mu_k 0 or more; all three broadcast.

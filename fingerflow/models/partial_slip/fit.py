@@ -90,8 +90,7 @@ def fit_friction(
         raise ValueError(f"the level is {level:g}: give one between 0 and 1, as 0.95")
     if resamples < 100:
         raise ValueError(f"{resamples} resamples are too few for an interval: give 100 or more")
-    area, load = finite_frames(stuck_area, load_ratio)
-    noise = frame_noise(area), frame_noise(load)
+    area, load, noise, too_few = frames_of_slip(stuck_area, load_ratio)
 
     def answer(values: Values, intervals: Values, reason: str) -> FrictionFit:
         mu_s, mu_k, ratio, critical = map(float, values)
@@ -115,13 +114,8 @@ def fit_friction(
             seed=seed,
         )
 
-    nothing = np.full(4, np.nan), np.full((2, 4), np.nan)
-    if area.size < _FEWEST:
-        return answer(*nothing, f"{area.size} frames with d² and T/N, {_FEWEST} are needed")
-    used = shrinking(area, load, noise)
-    area, load = area[used], load[used]
-    if area.size < _FEWEST:
-        return answer(*nothing, f"the area shrinks in {area.size} frames, {_FEWEST} are needed")
+    if too_few:
+        return answer(np.full(4, np.nan), np.full((2, 4), np.nan), too_few)
     draws = _block_weights(area.size, resamples, seed)
     estimates = _derived(fit_family(PARTIAL_SLIP, area, load, noise, draws)[0])
     estimate = _derived(fit_family(PARTIAL_SLIP, area, load, noise, np.ones((1, area.size)))[0])[0]
@@ -184,13 +178,23 @@ def student_scale(squared: Values) -> float:
     return max(scale, 1e-300)
 
 
-def finite_frames(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values]:
-    """Return both as float64, without the frames that lack one; raises ValueError where they differ in length."""
+def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
+    """Return d^2 and T/N of the frames whose area shrinks, the noise of both, and a reason if these are too few.
+
+    Raises:
+        ValueError: the two differ in length.
+    """
     area, load = (np.asarray(values, dtype=np.float64) for values in (stuck_area, load_ratio))
     if area.shape != load.shape or area.ndim != 1:
         raise ValueError(f"d² and T/N have shapes {area.shape} and {load.shape}: give one value a frame of each")
     both = np.isfinite(area) & np.isfinite(load)
-    return area[both], load[both]
+    area, load = area[both], load[both]
+    noise = frame_noise(area), frame_noise(load)
+    if area.size < _FEWEST:
+        return area, load, noise, f"{area.size} frames with d² and T/N, {_FEWEST} are needed"
+    used = _shrinking(area, load, noise)
+    reason = "" if used.sum() >= _FEWEST else f"the area shrinks in {used.sum()} frames, {_FEWEST} are needed"
+    return area[used], load[used], noise, reason
 
 
 def frame_noise(values: Values) -> float:
@@ -201,7 +205,7 @@ def frame_noise(values: Values) -> float:
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
 
 
-def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
+def _shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
     """Return True for frames whose area is clearly below 1; near 1 noise is cut off, as a measured area is 1 at most.
 
     The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.

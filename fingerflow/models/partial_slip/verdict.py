@@ -83,7 +83,7 @@ def judge_trial(
 
     The rule takes T/N just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it.
     The paper states that a minimal area exists if that d^2 is above 0.05. There its curve for equal coefficients, d^2 =
-    1 - T/(mu N), enters the corridor; but that curve is misprinted (see `equal_friction_stuck_area`): a fading area is
+    1 - T/(mu N), enters the corridor; but that curve is misprinted (see `stuck_area`): a fading area is
     still (0.05)^(1/2) = 0.224 there. By the same reasoning the model's own d^2 there is c + 0.224 (1 - c), where c is
     the critical one. The rule used here solves for c: a minimal area exists if c > 0.05, that is if the d^2 in the
     corridor is above 0.262. `printed_outcome` holds the rule as printed. The two rules disagree for an area that

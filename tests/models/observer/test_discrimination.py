@@ -14,7 +14,6 @@ from fingerflow.models.observer import (
     criterion_for_hits,
     d_prime,
     permutation_test,
-    z_roc_slope,
 )
 
 Values = NDArray[np.float64]
@@ -37,7 +36,6 @@ def test_values_by_hand() -> None:
     # Pairs: 3 > 1, 3 > 2, 2 > 1 and a tie at 2.
     assert auc([2.0, 3.0], [1.0, 2.0]).value == pytest.approx(3.5 / 4)
     assert auc([1.0, 2.0], [2.0, 3.0]).value == pytest.approx(0.5 / 4)
-    assert z_roc_slope([0.0, 2.0], [0.0, 1.0]).value == pytest.approx(0.5)
 
 
 def test_the_area_is_that_of_all_pairs() -> None:
@@ -84,12 +82,6 @@ def test_the_criterion_for_hits_is_recovered() -> None:
 def test_the_criterion_is_numpys_quantile() -> None:
     values = np.random.default_rng(1).standard_normal(38)
     assert criterion_for_hits(values, 0.6, resamples=100).value == pytest.approx(np.quantile(values, 0.4), abs=1e-14)
-
-
-def test_the_slope_of_the_z_roc_shows_unequal_variances() -> None:
-    draw = np.random.default_rng(2)
-    estimate = z_roc_slope(2 * draw.standard_normal(400), draw.standard_normal(300))
-    assert estimate.interval[0] < 0.5 < estimate.interval[1] < 0.7
 
 
 def test_the_same_seed_gives_the_same_interval_and_stands_in_the_result() -> None:

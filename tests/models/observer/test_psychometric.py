@@ -55,8 +55,6 @@ def test_unsteady_participants_have_wider_intervals() -> None:
     calm, rough = (fit_psychometric(STIMULI, counts, TRIALS, guess=0.5) for counts in (steady, unsteady))
     assert rough.overdispersion > 2 * calm.overdispersion
     assert np.diff(rough.interval) > 1.2 * np.diff(calm.interval)
-    assert rough.deviance > calm.deviance
-    assert calm.deviance < 1
 
 
 def test_units_of_the_stimulus_do_not_matter() -> None:

@@ -1,4 +1,4 @@
-"""The table of trials, counts of answers, and the ideal observer as printed."""
+"""The table of trials, and the ideal observer as printed."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import d_prime, detection, leave_out_moved, observe, printed_observer, read_trials
+from fingerflow.models.observer import d_prime, leave_out_moved, observe, printed_observer, read_trials
 
 
 def table(**columns: Any) -> dict[str, Any]:
@@ -68,42 +68,6 @@ def test_tables_that_cannot_be_read() -> None:
     del whole.metrics["global_displacement"]
     with pytest.raises(FingerflowError, match="no global_displacement"):
         leave_out_moved(whole)
-
-
-def test_rates_of_zero_and_one_have_a_finite_d_prime() -> None:
-    found = detection([20, 15], [0, 5], [0, 4], [20, 16])
-    assert found.hit_rate[0] == pytest.approx(20.5 / 21)
-    assert found.false_alarm_rate[0] == pytest.approx(0.5 / 21)
-    assert found.d_prime[0] == pytest.approx(2 * ndtri(20.5 / 21))
-    assert found.bias[0] == pytest.approx(0)
-    assert found.d_prime[1] == pytest.approx(ndtri(15.5 / 21) - ndtri(4.5 / 21))
-    assert found.sensitivity.value == pytest.approx(found.d_prime.mean())
-    assert "Hautus" in found.correction
-
-
-def test_the_mean_sensitivity_is_within_its_interval_as_often_as_it_says() -> None:
-    draw, inside = np.random.default_rng(0), 0
-    for _ in range(200):
-        sensitivity = 1 + 0.4 * draw.standard_normal(15)
-        hits = draw.binomial(200, ndtr(sensitivity / 2))
-        alarms = draw.binomial(200, ndtr(-sensitivity / 2))
-        found = detection(hits, 200 - hits, alarms, 200 - alarms, resamples=400).sensitivity
-        inside += found.interval[0] <= 1 <= found.interval[1]
-    assert 180 <= inside <= 198
-
-
-def test_participants_without_trials_of_a_kind_are_nan_and_counted() -> None:
-    found = detection([5, 3, 4, 2], [5, 0, 6, 8], [1, 0, 2, 1], [9, 0, 8, 9])
-    assert np.isnan(found.d_prime).tolist() == [False, True, False, False]
-    assert found.sensitivity.missing == 1
-    assert found.sensitivity.participants == 3
-    nobody = detection([3], [0], [0], [0])
-    assert math.isnan(nobody.sensitivity.value)
-    assert "no participant" in nobody.sensitivity.reason
-    with pytest.raises(ValueError, match="not rates"):
-        detection([0.5], [0.5], [0.1], [0.9])
-    with pytest.raises(ValueError, match="give the four counts of each"):
-        detection([1, 2], [1], [1], [1])
 
 
 def test_the_printed_observer_on_gaussians() -> None:

@@ -14,13 +14,12 @@ Values = NDArray[np.float64]
 class SimulatedTrial:
     """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 per frame, and the truth behind them.
 
-    `true_stuck_area` is without noise; `critical_stuck_area` is 0 where mu_k >= mu_s.
+    `critical_stuck_area` is 0 where mu_k >= mu_s.
     """
 
     time: Values
     load_ratio: Values
     stuck_area: Values
-    true_stuck_area: Values
     mu_s: float
     mu_k: float
     critical_stuck_area: float
@@ -42,17 +41,13 @@ def simulate_trial(
     """Simulate a slow ramp of T/N, the stuck area by equation 5, its collapse at constant T/N, and 1 s of full slip.
 
     Args:
-        mu_s, mu_k: coefficients of static and kinetic friction.
-        seed: of the noise and of the phase of the oscillation.
+        mu_s, mu_k, seed: coefficients of friction; seed of the noise and of the phase of the oscillation.
         frame_rate: frames/s.
         loading_s: s from no load to the critical one.
         collapse_ms: ms from the critical area to none, where mu_k < mu_s; 130 to 310 in the paper.
-        area_noise: standard deviation of d^2; a measured area is clipped to 0 to 1.
-        load_noise: standard deviation of T/N, white, relative to the critical load.
-        oscillation: relative amplitude of a 3 Hz oscillation of T/N. The stuck area follows the largest T/N
-            so far: skin that slipped does not stick again.
-        reached: share of the critical load at which loading stops; below 1 there is no full slip unless the oscillation
-            reaches the critical load.
+        area_noise, load_noise: standard deviations of d^2 and, relative to the critical load, of T/N.
+        oscillation: relative amplitude of a 3 Hz oscillation of T/N. The stuck area follows the largest T/N so far.
+        reached: share of the critical load at which loading stops.
     """
     noise = np.random.default_rng(seed)
     largest = float(critical_load_ratio(mu_s, mu_k))
@@ -72,7 +67,6 @@ def simulate_trial(
         time=time,
         load_ratio=load + load_noise * largest * noise.standard_normal(time.size),
         stuck_area=np.clip(area + area_noise * noise.standard_normal(time.size), 0, 1),
-        true_stuck_area=area,
         mu_s=mu_s,
         mu_k=mu_k,
         critical_stuck_area=critical,

@@ -1,4 +1,4 @@
-"""Comparison of metrics: permutation test of one area under the ROC, and paired difference of two."""
+"""Permutation test of an area under the ROC."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 
-from fingerflow.models.observer.bootstrap import Participants, Values, bca_interval, samples_of
-from fingerflow.models.observer.estimate import UNKNOWN, Estimate
-from fingerflow.models.observer.weighted import auc_statistic
+from fingerflow.models.observer.bootstrap import Participants, samples_of
 
 # Added to the seed: data simulated with the same seed must not share random numbers with the permutations.
 _STREAM = 0x9E2A
@@ -46,8 +44,7 @@ def permutation_test(
     """
     if permutations < 100:
         raise ValueError(f"{permutations} permutations are too few for a p-value: give 100 or more")
-    arrays = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
-    (first, second), samples, missing = samples_of(arrays, participants)
+    (first, second), samples, missing = samples_of((correct, incorrect), participants)
     trials = (first.size, second.size)
     if min(trials) == 0:
         reason = f"{first.size} correct and {second.size} incorrect trials: 1 of each is needed"
@@ -72,52 +69,3 @@ def permutation_test(
     expected = (float(share[blocks] @ ranks) - first.size * (first.size + 1) / 2) / (first.size * second.size)
     as_far = np.count_nonzero(np.abs(areas - expected) >= abs(area - expected) - 1e-12)
     return PermutationTest((1 + as_far) / (1 + permutations), area, permutations, seed, trials, missing)
-
-
-def compare_auc(
-    first: tuple[ArrayLike, ArrayLike],
-    second: tuple[ArrayLike, ArrayLike],
-    *,
-    participants: Participants = None,
-    level: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> Estimate:
-    """Estimate the area under the ROC of one metric minus that of another, in the same trials.
-
-    Both areas are computed on the same resamples, so that variation common to the metrics cancels.
-
-    Args:
-        first, second: (correct, incorrect) of either metric; the n-th trial of each is the same trial. Trials that
-            lack one of the metrics are left out of both, and counted.
-        participants: of the trials, (correct, incorrect).
-
-    Returns:
-        `Estimate` of the difference: its interval excludes 0 where the metrics differ at that level.
-
-    Raises:
-        ValueError: the metrics have different numbers of trials, or as in `auc`.
-    """
-    kinds: list[tuple[Values, Values]] = []
-    for one, other in zip(first, second, strict=True):
-        pair = tuple(np.asarray(values, dtype=np.float64).reshape(-1) for values in (one, other))
-        if pair[0].size != pair[1].size:
-            raise ValueError(f"{pair[0].size} and {pair[1].size} trials of a kind: give both metrics of the same ones")
-        both = np.isfinite(pair[0]) & np.isfinite(pair[1])
-        kinds.append((np.where(both, pair[0], np.nan), np.where(both, pair[1], np.nan)))
-    (one_correct, other_correct), (one_incorrect, other_incorrect) = kinds
-    one, samples, missing = samples_of([one_correct, one_incorrect], participants)
-    other, _, _ = samples_of([other_correct, other_incorrect], participants)
-
-    def estimate(value: float, interval: tuple[float, float], reason: str) -> Estimate:
-        return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
-
-    if min(samples.sizes) == 0:
-        return estimate(np.nan, UNKNOWN, f"{samples.sizes[0]} correct and {samples.sizes[1]} incorrect trials: 1 each")
-    first_area, second_area = auc_statistic(*one), auc_statistic(*other)
-
-    def difference(correct: Values, incorrect: Values) -> Values:
-        return first_area(correct, incorrect) - second_area(correct, incorrect)
-
-    whole = float(difference(*(np.ones((1, size)) for size in samples.sizes))[0])
-    return estimate(whole, *bca_interval(difference, samples, level, resamples, seed))
