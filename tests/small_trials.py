@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fingerflow.engines.bundle_settings import bundle_settings
+from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import built_in, numbers_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle

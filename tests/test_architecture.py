@@ -21,7 +21,7 @@ _TABLE = {
     "tensors": "kernels",  # the same as ops of torch's, in fingerflow/kernels/tensors
     "ops": "kernels tensors",
     "graphs": "kernels ops",
-    "engines": "errors kernels",  # of NumPy arrays
+    "engines": "errors kernels schema",  # of NumPy arrays
     "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",

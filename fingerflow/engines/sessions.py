@@ -93,19 +93,16 @@ class Sessions:
     """
 
     def __init__(self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> None:
-        self._files, self._threads = files, threads
+        self._threads = threads
         self._short, self.provider = provider, provider_named(provider)
-        self._sessions = {name: self._open(name) for name in files}
+        self._sessions = {name: self._open(name, path) for name, path in files.items()}
 
     def __getitem__(self, name: str) -> GraphSession:
         if name not in self._sessions:
             raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
         return self._sessions[name]
 
-    def _open(self, name: str) -> GraphSession:
-        if name not in self._files:
-            raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
-        path = self._files[name]
+    def _open(self, name: str, path: Path) -> GraphSession:
         session = self._session(path)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from fingerflow.engines.names import GRAPHS as GRAPHS
-from fingerflow.engines.names import GraphName as GraphName
+from fingerflow.engines.bundle import GRAPHS as GRAPHS
+from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 from fingerflow.export.strict import Odd, StrictBool, StrictInt, StrictNumber
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.bundle import Bundle
+from fingerflow.engines.bundle import Bundle
 from fingerflow.player.scene import ViewRange
 from fingerflow.player.sources import open_source
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.bundle import Bundle
+from fingerflow.engines.bundle import Bundle
 from fingerflow.player.scene import StreamScene, ViewRange
 from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 

@@ -11,7 +11,7 @@ import numpy as np
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.background import mean_view
-from fingerflow.player.bundle import Bundle
+from fingerflow.engines.bundle import Bundle
 from fingerflow.player.live import Expected
 from fingerflow.player.scene import StreamScene, check_scene, load_scene
 from fingerflow.player.sources import open_source

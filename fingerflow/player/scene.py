@@ -11,7 +11,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.bundle import Bundle
+from fingerflow.engines.bundle import Bundle
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_file import SceneError, read_scene
 from fingerflow.tracker.stream import TrackerSettings

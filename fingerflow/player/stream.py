@@ -14,7 +14,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.bundle import Bundle
+from fingerflow.engines.bundle import Bundle
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies

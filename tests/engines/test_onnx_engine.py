@@ -19,7 +19,7 @@ import torch
 from fingerflow.engines import choice, providers
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.check import check_engine
-from fingerflow.engines.names import GRAPHS
+from fingerflow.engines.bundle import GRAPHS
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
@@ -27,7 +27,7 @@ from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.export import recipe
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.bundle import Bundle, load_bundle
+from fingerflow.engines.bundle import Bundle, load_bundle
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
 Array = np.ndarray[Any, Any]
@@ -440,7 +440,7 @@ from pathlib import Path
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.sessions import GraphSession
-from fingerflow.player.bundle import load_bundle
+from fingerflow.engines.bundle import load_bundle
 bundle = load_bundle(Path(sys.argv[1]))
 check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu"), bundle.expected)
 """

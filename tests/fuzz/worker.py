@@ -162,7 +162,7 @@ def _scene(path: Path) -> None:
 
 
 def _bundle(path: Path) -> None:
-    from fingerflow.player.bundle import load_bundle
+    from fingerflow.engines.bundle import load_bundle
 
     load_bundle(path)
 

@@ -9,7 +9,7 @@ import pytest
 
 from fingerflow.calibration import Calibration
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.player.bundle import load_bundle
+from fingerflow.engines.bundle import load_bundle
 from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.scene import load_scene
 
