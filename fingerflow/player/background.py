@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.engines.bundle import Bundle
 from fingerflow.player.scene import ViewRange
 from fingerflow.player.sources import open_source
 

@@ -15,10 +15,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from fingerflow.engines.bundle import load_bundle
 from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
-from fingerflow.engines.bundle import load_bundle
 from fingerflow.player.handover import Slot
 from fingerflow.player.live import LiveForces
 from fingerflow.player.played import played_by

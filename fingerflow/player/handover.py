@@ -9,9 +9,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.engines.bundle import Bundle
 from fingerflow.player.scene import StreamScene, ViewRange
 from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 

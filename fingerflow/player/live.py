@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fingerflow.engines.engine import Array
 from fingerflow.engines.bundle import Bundle
+from fingerflow.engines.engine import Array
 from fingerflow.player.handover import Slot
 
 _PAGE_INTERVAL = 1 / 15  # s between images, made only while a page is open

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.background import mean_view
-from fingerflow.engines.bundle import Bundle
 from fingerflow.player.live import Expected
 from fingerflow.player.scene import StreamScene, check_scene, load_scene
 from fingerflow.player.sources import open_source

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.engines.bundle import Bundle
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_file import SceneError, read_scene
 from fingerflow.tracker.stream import TrackerSettings

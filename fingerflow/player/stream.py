@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
-from fingerflow.engines.bundle import Bundle
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies

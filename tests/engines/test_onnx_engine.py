@@ -18,8 +18,8 @@ import torch
 
 from fingerflow.engines import choice, providers
 from fingerflow.engines import engine as arrays
+from fingerflow.engines.bundle import GRAPHS, Bundle, load_bundle
 from fingerflow.engines.check import check_engine
-from fingerflow.engines.bundle import GRAPHS
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
@@ -27,7 +27,6 @@ from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.export import recipe
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.engines.bundle import Bundle, load_bundle
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
 Array = np.ndarray[Any, Any]

@@ -12,9 +12,9 @@ import pytest
 from tiny_bundle import write_bundle, write_scene
 
 from fingerflow import player
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
-from fingerflow.engines.bundle import Bundle
 
 
 class Ended(NamedTuple):

@@ -13,8 +13,8 @@ from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle, write_scene
 
 from fingerflow import player
 from fingerflow.calibration import Calibration, Disc, Transform
-from fingerflow.player.background import mean_view
 from fingerflow.engines.bundle import load_bundle
+from fingerflow.player.background import mean_view
 from fingerflow.player.scene import ViewRange
 from fingerflow.schema.views import View as RigView
 
