@@ -248,7 +248,7 @@ class OnnxEngine:
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
         given = {"points": places[None], "warp": warp[None]}
-        result = self._in_pieces("windows", given, {"topography_view": images})["samples"][0]
+        result: Array = self._in_pieces("windows", given, {"topography_view": images})["samples"][0]
         samples = (2 * (self.settings.window_px // 2) // step + 1) ** 2
         if result.shape[1] != samples:
             raise ValueError(f"a grid of {step} px has {samples} samples: the bundle's has {result.shape[1]}")
