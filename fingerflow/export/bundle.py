@@ -51,7 +51,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     part = unfinished(folder)
     try:
         part.mkdir(parents=True)
-        graphs = build(recipe)
+        graphs = {name: graph for name, graph in build(recipe).items() if name in recipe.export.graphs}
         models = {
             name: write_graph(recipe, name, graph, part)
             for name, graph in tqdm(graphs.items(), "export", disable=not progress)
@@ -77,11 +77,8 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
     known = completed(recipe, cases(recipe, batch)[0])
     # The exporter would merge two inputs that are the same tensor.
-    tensors = tuple(tensor.clone() for tensor in feed(name, graph, known))
-    shapes = None
-    if dynamic:
-        batched = {0: torch.export.Dim.DYNAMIC}
-        shapes = (tuple(batched for _ in graph.inputs),)
+    tensors = tuple(tensor.clone() for tensor in feed(name, graph, known).values())
+    shapes = (tuple({0: torch.export.Dim.DYNAMIC} for _ in graph.inputs),) if dynamic else None
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
     model.producer_name, model.producer_version = "fingerflow", version()
     model.graph.name = f"fingerflow.{name}"

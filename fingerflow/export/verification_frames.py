@@ -1,16 +1,16 @@
 """Test cases for exported graphs: the default synthetic press, sized to the recipe's views, and hard cases."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from fingerflow.engines.check import spread
 from fingerflow.engines.engine import ROWS
 from fingerflow.export.build import OF_FEW, Graph, build
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.templates import inverse_2x2
@@ -55,7 +55,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         return view((light * most + noise).round().clamp(0, most))
 
     pictures = _press(*size, recipe.views.bit_depth)
-    points = _points(size, recipe.tracking.points).expand(batch, -1, -1).contiguous()
+    points = torch.from_numpy(spread(*size, recipe.tracking.points)).float().expand(batch, -1, -1).contiguous()
     lost = points.clone()
     lost[:, ::5] = torch.nan
     lost[:, 1::5] = -3.0
@@ -100,28 +100,27 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
     """Return the inputs of a case and those that are outputs of other graphs, computed by torch."""
     known = dict(case.inputs)
-    every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
-    graphs = build(every)
+    graphs = build(recipe)
+    for name in ("light", "noise", "spline", "prepare"):
+        known |= graphs[name].run(feed(name, graphs[name], known))
+    found = graphs["track"].run(known)
+    known |= {"found": found["points"], "found_covariance": found["covariance"]}
+    known["start"] = known["template_start"]
+    known |= graphs["support"].run(known)
+    names_of_neighbours = ("neighbour_number", "neighbour_offset", "neighbour_within")
     with torch.inference_mode(), Portable():
-        for name in ("light", "noise", "spline", "prepare", "track"):
-            found = graphs[name].module(*feed(name, graphs[name], known))
-            names = {"points": "found", "covariance": "found_covariance"} if name == "track" else {}
-            known |= {names.get(one, one): tensor for one, tensor in zip(graphs[name].outputs, found, strict=True)}
-        known["start"] = known["template_start"]
-        known |= zip(graphs["support"].outputs, graphs["support"].module(known["start"]), strict=True)
-        names_of_neighbours = ("neighbour_number", "neighbour_offset", "neighbour_within")
         known |= zip(names_of_neighbours, find_neighbours(known["start"], WARP_GAUGE_PX), strict=True)
         known["position_std"] = known["found_covariance"].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     return known
 
 
-def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tensor, ...]:
-    """Return the inputs of a graph by position; graphs of the key frame get the key view."""
+def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return the inputs of a graph by name; graphs of the key frame get the key view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
     few = OF_FEW.get(name, ())
-    return tuple(source[one][:, :ROWS] if one in few else source[one] for one in graph.inputs)
+    return {one: source[one][:, :ROWS] if one in few else source[one] for one in graph.inputs}
 
 
 @lru_cache(maxsize=4)
@@ -184,13 +183,3 @@ def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, T
         "semi_axes": (_BORDER * half).contiguous(),
         "angle": torch.full((batch,), 0.1),
     }
-
-
-def _points(size: tuple[int, int], count: int) -> Tensor:
-    """Return points (1, N, 2) px, spread over the frame up to its border."""
-    columns = math.ceil(math.sqrt(count * size[1] / size[0]))
-    number = torch.arange(count)
-    rows = -(-count // columns)
-    x = (number % columns + 0.5) / columns * (size[1] - 1)
-    y = (number // columns + 0.5) / rows * (size[0] - 1)
-    return torch.stack((x, y), dim=1)[None]
