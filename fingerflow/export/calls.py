@@ -56,6 +56,15 @@ class GraphCall(NamedTuple):
         found = (one.shape[axis] for one, axis in zip(self.tensors, self.tensor_axes, strict=True) if axis is not None)
         return next(found, 0)
 
+    def of_recording(self, place: int, batch: int) -> "GraphCall":
+        """Return the call for one recording: its row of each tensor of the batch; tensors (1, ...) are for all."""
+        return self._replace(
+            values=[
+                value[place : place + 1] if isinstance(value, Tensor) and len(value) == batch else value
+                for value in self.values
+            ]
+        )
+
     def with_tensors(self, tensors: Sequence[Tensor]) -> dict[str, Any]:
         """Return the arguments by name, with its tensors replaced by others in the same order."""
         others = iter(tensors)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.sources import video
 from fingerflow.player.sources.source import Asked, Source
+from fingerflow.player.sources.video import open_video
 
 
 class Reader(Protocol):
@@ -45,7 +45,7 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
     if reader is None and not path.is_file():
         raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")
     try:
-        return video.Video(path, first) if reader is None else reader.open_frames(asked)
+        return open_video(path, first) if reader is None else reader.open_frames(asked)
     except PlayerError:
         raise
     except Exception as error:  # libraries do not specify what they raise for a damaged file

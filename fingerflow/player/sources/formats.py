@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.player.sources.source import Asked, Source
+from fingerflow.player.sources.source import Asked, RecordedFrames, Source
 from fingerflow.recordings.frames.opening import open_recording
 from fingerflow.recordings.frames.recording import Recording
 
@@ -33,34 +34,19 @@ def open_frames(asked: Asked) -> Source:
         ) from None
     for sentence in recording.warnings:
         log.warning("%s: %s", asked.path, sentence)
-    return Recorded(recording, asked.first)
+    return RecordedFrames(_frames(recording, asked.first), recording.close)
 
 
-class Recorded:
-    """Frames of such a recording from number `first` on."""
+def _frames(recording: Recording, first: int) -> Iterator[Array]:
+    """Yield the frames from number `first` on. A damaged one is black, so that it is not usable, and is logged.
 
-    live = False
-
-    def __init__(self, recording: Recording, first: int) -> None:
-        self._recording, self._next = recording, first
-
-    def read(self) -> Array | None:
-        """Return the next frame; None at the end. A damaged frame is black, so that it is not usable, and is logged.
-
-        Raises PlayerError for a frame of another size than the first.
-        """
-        if self._next >= len(self._recording):
-            return None
+    Raises PlayerError for a frame of another size than the first.
+    """
+    for number in range(first, len(recording)):
         try:
-            frame: Array = self._recording[self._next]
+            frame: Array = recording[number]
         except FingerflowError as error:  # a second attempt would fail too
             raise PlayerError(str(error)) from None
-        damage = self._recording.unreadable.get(self._next)
-        if damage:
-            log.warning("%s: frame %d %s", self._recording.path, self._next, damage)
-        self._next += 1
-        return frame
-
-    def close(self) -> None:
-        """Close the file."""
-        self._recording.close()
+        if damage := recording.unreadable.get(number):
+            log.warning("%s: frame %d %s", recording.path, number, damage)
+        yield frame

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -39,21 +39,13 @@ class Asked(NamedTuple):
 
 
 class RecordedFrames:
-    """Frames (N, H, W) of an array, read from number `first` on."""
+    """Source of the frames (H, W) that an iterator reads from a file; `close` closes the file."""
 
     live = False
 
-    def __init__(self, frames: Array, first: int) -> None:
-        self._frames = frames
-        self._next = first
+    def __init__(self, frames: Iterator[Array], close: Callable[[], None] = lambda: None) -> None:
+        self._frames, self.close = frames, close
 
     def read(self) -> Array | None:
         """Return the next frame; None at the end."""
-        if self._next >= len(self._frames):
-            return None
-        frame: Array = self._frames[self._next]
-        self._next += 1
-        return frame
-
-    def close(self) -> None:
-        """Do nothing: a memory map is closed with its last reference."""
+        return next(self._frames, None)
