@@ -24,9 +24,8 @@ from fingerflow.player.live import LiveForces
 from fingerflow.player.played import played_by
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.scene import contradictions, stream_settings
-from fingerflow.player.settings import Settings
 from fingerflow.player.sources import kinds
-from fingerflow.player.stream import Player
+from fingerflow.player.stream import Player, Settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.schema.unfinished import remove, unfinished
@@ -95,7 +94,6 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         every=every,
         queue=options.queue if every else 1,
         rate=options.rate or (None if live else scene.frame_rate),
-        first=played.first,
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
         parallel=parallel,
@@ -126,10 +124,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
     forces = forces_of(played.forces_in) if played.forces_in is not None and options.page else None
-    player = Player(
-        *(tracker, engine.described, bundle, scene, source, played.open_source, sink, layout, settings, name),
-        *(played.expected, forces),
-    )
+    player = Player(tracker, engine.described, bundle, played, source, sink, layout, settings, forces)
     with _stopped_by_signals(player) as received:
         summary = player.run()
     text = json.dumps({**summary, "engine": engine.described, "policy": header["policy"]}, indent=1)

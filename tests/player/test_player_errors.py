@@ -14,9 +14,8 @@ from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle, write_scene
 from fingerflow import player
 from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.player.background import mean_view
-from fingerflow.player.scene import ViewRange
-from fingerflow.schema.views import View as RigView
+from fingerflow.player.played import mean_view
+from fingerflow.schema.views import View
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -94,7 +93,7 @@ def test_a_calibration_file_is_read(stream: Stream) -> None:
     views = {"contact": (WIDTH, 2 * WIDTH), "topography": (0, WIDTH)}
     transform = Transform(np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]]), np.zeros((3, 2)))
     hole = Disc((16.0, 12.0), (8.0, 8.0), 0.3, 0.1, 0.5, 1.0, 0.4, 30.0)
-    rig = {name: RigView((0, HEIGHT), columns) for name, columns in views.items()}
+    rig = {name: View((0, HEIGHT), columns) for name, columns in views.items()}
     text = Calibration(0.25, 2.75, hole, rig, affine=transform, similarity=transform).to_toml()
     (stream.bundle / "rig.toml").write_text(text)
     text = stream.scene.read_text().split("mm_per_px")
@@ -118,7 +117,7 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     assert event == WIDTH / 4
     mean = mean_view(
         stream.bundle / "empty.npy",
-        ViewRange((0, HEIGHT), (WIDTH, 2 * WIDTH)),
+        View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
         load_bundle(stream.bundle),
         None,
         "",
@@ -133,7 +132,7 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     ("pictures", "said"),
     [
         (np.full((HEIGHT, 2 * WIDTH), 200, np.uint16), "empty.npy: a frame is uint16, the bundle takes uint8"),
-        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "needs (H, W) of at least (64, 192)"),
+        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "does not fit into a frame of 64 rows and 191 columns"),
         (np.zeros((0, HEIGHT, WIDTH), np.uint8), "frames are (N, H, W), or (H, W) for one"),
     ],
 )

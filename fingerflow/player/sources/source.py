@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from fingerflow.engines.engine import Array
+from fingerflow.errors import first_line
+
+log = logging.getLogger("fingerflow.player")
 
 
 class Source(Protocol):
@@ -49,3 +54,19 @@ class RecordedFrames:
     def read(self) -> Array | None:
         """Return the next frame; None at the end."""
         return next(self._frames, None)
+
+
+def close_within(seconds: float, source: Source) -> None:
+    """Close a source; log a warning if that fails, and abandon it if it takes longer than `seconds`."""
+
+    def close() -> None:
+        try:
+            source.close()
+        except Exception as error:
+            log.warning("closing the source: %s", first_line(error))
+
+    closing = threading.Thread(target=close, name="close", daemon=True)
+    closing.start()
+    closing.join(seconds)
+    if closing.is_alive():
+        log.warning("closing the source takes more than %.0f s: it is left behind", seconds)
