@@ -33,8 +33,8 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
         (
             "threshold = 0.5",
             'threshold = "per_frame"',
-            "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is known "
-            'before it comes: give a number, such as 0.25, or "reference_frame"',
+            "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
+            'known before it comes: give a number, such as 0.25, or "reference_frame"',
         ),
         # The graphs count from onset: a stream would show another quantity under the same name.
         (
