@@ -32,7 +32,7 @@ _TABLE = {
     "synthetic": "errors models ops schema",
     "plot": "errors graphs recordings schema stages",
     "report": "errors models ops plot recordings results schema synthetic",
-    "export": "engines errors graphs kernels ops schema synthetic tensors tracker",
+    "export": "__init__ engines errors graphs kernels ops schema synthetic tensors tracker",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
     "view": "__init__ calibration engines errors pipeline recordings results schema stages",

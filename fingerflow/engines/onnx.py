@@ -30,6 +30,7 @@ from fingerflow.engines.prediction import Course
 from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.contact_sizes import cell_of
 from fingerflow.kernels.tracked_points import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
@@ -109,7 +110,7 @@ class OnnxEngine:
         self.points = inputs["prediction"].shape[1]
         self._few = self._sessions["track_few"].inputs["prediction"].shape[1]
         self._view = inputs["topography_view"]
-        self.cell_px = _cell_px(self._view.shape, self._sessions["contact"].outputs["density_margin"])
+        self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         self._supports: dict[bytes, dict[str, Any]] = {}
 
     def images(self, frames: Array) -> Array:
@@ -306,10 +307,3 @@ class OnnxEngine:
                     "again"
                 )
         return {name: filled(array, self.points, axis=1) for name, array in given.items()}
-
-
-def _cell_px(view: tuple[int, ...], cells: tuple[int, ...]) -> int:
-    """Return the side of a cell, from the shapes of the view and of its cells."""
-    return next(
-        side for side in (1, 2, 4, 8) if all(-(-a // side) == b for a, b in zip(view[2:], cells[2:], strict=True))
-    )

@@ -39,7 +39,6 @@ class GraphSession:
 
     Attributes:
         inputs: by name.
-        outputs: shapes by name.
         shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU,
             unless the graph computes in float64.
     """
@@ -47,8 +46,7 @@ class GraphSession:
     def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
         self._session, self._path, self._device = session, path, device
         self.inputs = {one.name: _input(one, path) for one in session.get_inputs()}
-        self.outputs = {one.name: tuple(one.shape) for one in session.get_outputs()}
-        self._names = list(self.outputs)
+        self._names = [one.name for one in session.get_outputs()]
         self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:

@@ -55,7 +55,7 @@ def main(
     sys.setswitchinterval(5e-4)
     try:
         return _stream(options, forces_of)
-    except PlayerError as error:
+    except FingerflowError as error:
         print(f"fingerflow: {error}", file=sys.stderr)
         return 2
 
@@ -77,10 +77,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
             "--parallel-frames and --provider are of ONNX Runtime, and the engine native computes one frame at a time "
             "on all threads; leave them out, or take --engine onnx"
         )
-    try:
-        engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
-    except FingerflowError as error:
-        raise error if isinstance(error, PlayerError) else PlayerError(str(error)) from None
+    engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
     # With ONNX Runtime the lag is at least 2, so that sequential and parallel frames give the same numbers.
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
@@ -119,7 +116,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     sink = Sink(folder, header, numbered=named is None)
     try:
         source = played.open_source(played.first)
-    except PlayerError:
+    except FingerflowError:
         raise
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error

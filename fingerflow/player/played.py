@@ -107,13 +107,11 @@ def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | N
                     f"{bundle.bit_depth}): grey levels of two depths cannot be compared; record it with the settings "
                     "of the stream"
                 )
-            total, count = total + (frame if frame.shape == view.shape else view.crop(frame)), count + 1
-    except FingerflowError as error:
-        raise (
-            error
-            if isinstance(error, PlayerError)
-            else PlayerError(f"{path}: {error}; record it with the settings of the stream")
-        ) from None
+            try:
+                part = frame if frame.shape == view.shape else view.crop(frame)
+            except FingerflowError as error:
+                raise PlayerError(f"{path}: {error}; record it with the settings of the stream") from None
+            total, count = total + part, count + 1
     finally:
         source.close()
     if not count:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
-from fingerflow.errors import PlayerError, first_line
+from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
@@ -69,7 +69,7 @@ class Settings:
 class Player:
     """Player of one stream from source to results; `run` returns when it has ended.
 
-    Raises PlayerError for every error that the user can correct; the results until then are complete.
+    Raises FingerflowError for every error that the user can correct; the results until then are complete.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Player:
                 close_within(_HANGING, self._source)
             try:
                 self._sink.close()
-            except PlayerError as error:
+            except FingerflowError as error:
                 self._failure = self._failure or error
             if not self.processed:
                 self._sink.discard()
@@ -264,7 +264,7 @@ class Player:
                 try:
                     source = source or self._open_source(self._first_number + self.frames_in)
                     frame = source.read()
-                except PlayerError:
+                except FingerflowError:
                     raise
                 except Exception as error:
                     self._lost(source, error, attempt)

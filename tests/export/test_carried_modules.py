@@ -24,7 +24,7 @@ import numpy as np
 
 absent = {name: None for name in ("torch", "scipy", "h5py", "cv2", *sys.argv[3:])}
 sys.modules.update(absent)
-from fingerflow.errors import PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.player.sources import open_source
 
 try:
@@ -33,7 +33,7 @@ try:
     while (frame := source.read()) is not None:
         frames.append(frame)
     source.close()
-except PlayerError as error:
+except FingerflowError as error:
     sys.exit(f"said: {error}")
 np.save(sys.argv[2], np.array(frames))
 loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator
 
 from fingerflow.engines.engine import Array
-from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Asked, RecordedFrames, Source
 from fingerflow.recordings.frames.opening import open_recording
 from fingerflow.recordings.frames.recording import Recording
@@ -22,11 +22,9 @@ def reads(asked: Asked) -> bool:
 
 
 def open_frames(asked: Asked) -> Source:
-    """Return the frames; raise PlayerError with the reader's message, or with the name of a missing library."""
+    """Return the frames; raise FingerflowError with what is wrong, or with the name of a missing library."""
     try:
         recording = open_recording(asked.path)
-    except FingerflowError as error:
-        raise PlayerError(str(error)) from None
     except ImportError as error:
         raise PlayerError(
             f"{asked.path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as "
@@ -40,13 +38,10 @@ def open_frames(asked: Asked) -> Source:
 def _frames(recording: Recording, first: int) -> Iterator[Array]:
     """Yield the frames from number `first` on. A damaged one is black, so that it is not usable, and is logged.
 
-    Raises PlayerError for a frame of another size than the first.
+    Raises FingerflowError for a frame of another size than the first.
     """
     for number in range(first, len(recording)):
-        try:
-            frame: Array = recording[number]
-        except FingerflowError as error:  # a second attempt would fail too
-            raise PlayerError(str(error)) from None
+        frame = recording[number]
         if damage := recording.unreadable.get(number):
             log.warning("%s: frame %d %s", recording.path, number, damage)
         yield frame

@@ -15,7 +15,7 @@ log = logging.getLogger("fingerflow.player")
 
 
 class Source(Protocol):
-    """Source of frames (H, W), None at the end. After any error other than PlayerError it is opened again."""
+    """Source of frames (H, W), None at the end. After any error other than FingerflowError it is opened again."""
 
     live: bool  # True if frames arrive whether or not a buffer is free
 
