@@ -46,6 +46,11 @@ class GraphCall(NamedTuple):
         return [value for value in self.values if isinstance(value, Tensor)]
 
     @property
+    def settings(self) -> list[Any]:
+        """Return the leaves with None in place of tensors."""
+        return [None if isinstance(value, Tensor) else value for value in self.values]
+
+    @property
     def tensor_axes(self) -> list[Axis]:
         """Return for each tensor the axis along which points lie, else None."""
         return [axis for axis, value in zip(self.axes, self.values, strict=True) if isinstance(value, Tensor)]

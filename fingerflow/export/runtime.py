@@ -91,7 +91,14 @@ class OnnxRuntime:
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
         """Return the cache key of a graph: method, settings, shapes, other arguments, torch version and source hash."""
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
-        facts = [_code(), torch.__version__, leaves.title, settings_of(leaves.module), shapes, repr(leaves.values)]
+        facts = [
+            _code(),
+            torch.__version__,
+            leaves.title,
+            settings_of(leaves.module),
+            shapes,
+            repr(leaves.call.settings),
+        ]
         digest = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
         return f"{leaves.title}-{digest[:24]}"
 
@@ -120,10 +127,9 @@ class _Executed:
         given, along, points = call.tensors, call.tensor_axes, call.points
         inputs = [name for name, value in zip(call.names, call.values, strict=True) if isinstance(value, Tensor)]
         tensors = filled_up(given, along, _room(points))
-        plain = repr([None if isinstance(value, Tensor) else value for value in call.values])
         key = (
             method,
-            plain,
+            repr(call.settings),
             tuple(call.names),
             tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True)),
         )
@@ -170,7 +176,6 @@ class _Leaves(nn.Module):
         super().__init__()
         self.module, self.method, self.call = module, method, call
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
-        self.values = [None if isinstance(value, Tensor) else value for value in call.values]
 
     def result(self, *tensors: Tensor) -> Any:
         """Return the result of the method in its own structure."""

@@ -144,13 +144,7 @@ def _largest(ours: NDArray[Any], other: NDArray[Any]) -> float:
 
 
 def _worse(one: Difference, other: Difference) -> Difference:
-    return Difference(
-        *one[:3],
-        max(one.to_torch, other.to_torch),
-        max(one.to_float64, other.to_float64),
-        max(one.flips, other.flips),
-        max(one.share, other.share),
-    )
+    return Difference(*one[:3], *map(max, one[3:], other[3:]))
 
 
 def _tolerable(row: Difference) -> bool:

@@ -69,7 +69,7 @@ def test_what_is_right_is_read_alike(tmp_path: Path) -> None:
     for name, view in ours.views.items():
         assert getattr(theirs, name) == view
     assert ours.stream.region is not None
-    assert theirs.region == (ours.stream.region.rows, ours.stream.region.columns)
+    assert theirs.region == ours.stream.region
     for name in ("frames", "frame_rate", "first_frame", "last_frame"):
         assert getattr(theirs, name) == getattr(ours.recording, name)
     assert (theirs.background, theirs.dark) == (ours.background.frames, ours.background.dark)
