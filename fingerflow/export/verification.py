@@ -144,7 +144,7 @@ def _largest(ours: NDArray[Any], other: NDArray[Any]) -> float:
 
 
 def _worse(one: Difference, other: Difference) -> Difference:
-    return Difference(*one[:3], *map(max, one[3:], other[3:]))
+    return one._replace(**{name: max(getattr(one, name), getattr(other, name)) for name in one._fields[3:]})
 
 
 def _tolerable(row: Difference) -> bool:
