@@ -4,12 +4,13 @@
 class FingerflowError(Exception):
     """Names the file or setting, the value that was found and the way out.
 
-    The command line prints it without a traceback and exits with status 2.
+    The command line prints it without a traceback and exits with status 2. A stream ends with it; after any other error
+    of its source it tries again.
     """
 
 
 class PlayerError(FingerflowError):
-    """What the user of a stream can put right. A stream ends with it; after any other error it tries again."""
+    """What the user of a stream can put right."""
 
 
 class NoRoomError(FingerflowError):

@@ -37,8 +37,8 @@ from fingerflow import cli, load_scene, open_stream
 from fingerflow import export as exporting
 from fingerflow import player as playing
 from fingerflow import report as reporting
+from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
-from fingerflow.player.bundle import load_bundle
 from fingerflow.recordings.guard.idle import IdleLimit
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources

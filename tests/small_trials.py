@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fingerflow.engines.bundle_settings import bundle_settings
+from fingerflow import __version__
+from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import built_in, numbers_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.bundle import version
 from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
@@ -92,7 +92,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
     expected = {**size, "numbers": {name: rounded(values) for name, values in numbers.items()}}
     facts = {
         "format": BUNDLE_FORMAT,
-        "fingerflow": version(),
+        "fingerflow": __version__,
         "recipe": settings,
         "graphs": graphs,
         "expected": expected,

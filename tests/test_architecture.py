@@ -21,7 +21,7 @@ _TABLE = {
     "tensors": "kernels",  # the same as ops of torch's, in fingerflow/kernels/tensors
     "ops": "kernels tensors",
     "graphs": "kernels ops",
-    "engines": "errors kernels",  # of NumPy arrays
+    "engines": "errors kernels schema",  # of NumPy arrays
     "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
@@ -32,7 +32,7 @@ _TABLE = {
     "synthetic": "errors models ops schema",
     "plot": "errors graphs recordings schema stages",
     "report": "errors models ops plot recordings results schema synthetic",
-    "export": "engines errors graphs kernels ops schema synthetic tensors tracker",
+    "export": "__init__ engines errors graphs kernels ops schema synthetic tensors tracker",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
     "view": "__init__ calibration engines errors pipeline recordings results schema stages",

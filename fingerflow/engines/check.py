@@ -131,7 +131,7 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
     ridges = np.where(np.sin(0.75 * x + 0.1 * y) > -0.2, _RIDGE, _VALLEY)
     places = np.stack((x, y), -1) - _SHIFT - middle
     material = places @ np.linalg.inv(_STRETCH).T + middle
-    start = _spread(height, width, points, window_px // 2 + _MARGIN)
+    start = spread(height, width, points, window_px // 2 + _MARGIN)
     moved = (start - middle) @ _STRETCH.T + middle + _SHIFT + _BESIDE
     start[::_UNKNOWN] = np.nan
 
@@ -159,7 +159,7 @@ def _texture(x: Array, y: Array) -> Array:
     return np.clip(levels, 0, 255)
 
 
-def _spread(height: int, width: int, count: int, margin: int) -> Array:
+def spread(height: int, width: int, count: int, margin: int = 0) -> Array:
     """Return points (count, 2) px spread evenly over a view without its margin."""
     columns = math.ceil(math.sqrt(count * width / height))
     number, rows = np.arange(count), -(-count // columns)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
@@ -15,8 +14,6 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
-    from fingerflow.engines.torch import Modules
-
 #: Engines of a recording: "auto" takes native where it can be used and torch elsewhere; then the engines by name.
 ENGINES = ("auto", "native", "torch", "onnx")
 #: Engines of a stream: the compiled library, and the graphs of a bundle by ONNX Runtime. Default: the first that works.
@@ -24,35 +21,18 @@ STREAM_ENGINES = ("native", "onnx")
 log = logging.getLogger("fingerflow.player")
 
 
-class PlayableBundle(Protocol):
-    """Interface of a deployment bundle, as far as an engine needs it."""
-
-    @property
-    def recipe(self) -> Mapping[str, Any]: ...
-    @property
-    def files(self) -> Mapping[str, Path]: ...
-    @property
-    def expected(self) -> Mapping[str, Any]: ...
-
-    @property
-    def engine_settings(self) -> EngineSettings:
-        """Return the settings with which its graphs were exported."""
-        ...
-
-
-def engine_for(name: str, settings: EngineSettings, device: torch.device, modules: Modules | None = None) -> Engine:
+def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Engine:
     """Return the engine of a recording.
 
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
         device: on which tensors are computed.
-        modules: replaces each module by another callable (`engines.torch`); the engine is then torch.
 
     Raises:
         FingerflowError: native is requested where it cannot be used.
     """
-    from fingerflow.engines.torch import TorchEngine, as_it_is
+    from fingerflow.engines.torch import TorchEngine
     from fingerflow.kernels.tensors import serve
 
     serves = device.type == "cpu" and serve()
@@ -61,14 +41,14 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device, module
             f"the engine native needs a processor and the compiled library, which does not serve here (device "
             f"{device}); choose auto or torch, or install where a C++ compiler is"
         )
-    if modules is None and name != "torch" and serves:
+    if name != "torch" and serves:
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
-    return TorchEngine(settings, device, modules or as_it_is)
+    return TorchEngine(settings, device)
 
 
-def engine_of_stream(bundle: PlayableBundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
+def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
     """Return the engine of a stream, and log which one it is and why.
 
     Native is tried first: it is taken if the library loads and reproduces the expected results of the bundle for the
@@ -116,7 +96,7 @@ def engine_of_stream(bundle: PlayableBundle, name: str | None, provider: str | N
     return engine
 
 
-def _why_not_native(bundle: PlayableBundle) -> str:
+def _why_not_native(bundle: Bundle) -> str:
     """Return why the compiled library cannot be used for a bundle; an empty string if it can."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"

@@ -42,10 +42,6 @@ class _NativeTemplates:
         numbers: Array = self.arrays[2][0]
         return numbers
 
-    def of(self, rows: Array) -> tuple[Array, ...]:
-        """Return the arrays of some rows (L,)."""
-        return tuple(one[:, rows] for one in self.arrays)
-
 
 class NativeEngine:
     """Engine that computes with the compiled library (`engine.Engine`).
@@ -120,7 +116,7 @@ class NativeEngine:
     def follow(
         self, templates: _NativeTemplates, images: Array, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        some = templates.arrays if rows is None else templates.of(rows)
+        some = templates.arrays if rows is None else tuple(one[:, rows] for one in templates.arrays)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
         found = tracking.find_templates(some, images, place[None], speed[None], None, ROUNDS, *limits)

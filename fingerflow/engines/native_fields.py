@@ -4,8 +4,6 @@ import numpy as np
 
 from fingerflow.engines.engine import Array, EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.kernels import field_limits as limits
-from fingerflow.kernels.arrays import in_one_piece
-from fingerflow.kernels.checks import check_like
 from fingerflow.kernels.fields import area_medians, local_gradients
 
 _UNKNOWN = np.float32(np.nan)
@@ -32,17 +30,8 @@ def fields_of_frames(
         covariance: (K, N, 2, 2) float32 of the displacements; None for no standard deviations.
         entered: points that were advected into the contact. Their gradients count from their own entry, and they are
             left out of the fits of other points.
-
-    Raises:
-        ValueError: wrong dtype, inconsistent shapes, an unknown measure, or a gauge length out of range.
     """
-    batch, count = _check(reference, displacement, covariance, entered)
-    if measure not in limits.STRAIN_MEASURES:
-        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(limits.STRAIN_MEASURES)}")
-    if not 0 < gauge_length < np.inf:
-        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
-    reference, displacement = in_one_piece(reference), in_one_piece(displacement)
-    covariance = None if covariance is None else in_one_piece(covariance)
+    batch, count = displacement.shape[:2]
     rest = displacement
     if entered is not None:
         rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
@@ -108,8 +97,6 @@ def _area_medians(
 ) -> tuple[Array, Array | None, Array]:
     """Return medians over the ellipse, their standard deviations and the known share, as `ops.fields.area_medians`."""
     batch = len(displacement)
-    for name, array, shape in zip(ellipse._fields, ellipse, ((batch, 2), (batch, 2), (batch,)), strict=True):
-        check_like(name, array, "float32", shape)
     ellipses = np.empty((batch, 6), np.float32)
     ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
     np.cos(ellipse.angle, out=ellipses[:, 4])
@@ -119,8 +106,7 @@ def _area_medians(
         among, parts = entered.among, entered.gradient.reshape(-1, 4).T
         fields = _fields(parts, measure).T.reshape(*among.shape, 5)
         if covariance is not None:
-            if entered.covariance is None:
-                raise ValueError("points that entered have gradients without covariance, displacements have one")
+            assert entered.covariance is not None, "known where that of the displacements is"
             spread = entered.covariance.reshape(-1, 4, 4)
             deviations = _field_deviations(parts, spread, measure).reshape(*among.shape, 5)
     return area_medians(
@@ -176,22 +162,3 @@ def _root(variance: Array) -> Array:
     """Return the square root; a variance below zero by rounding counts as zero."""
     result: Array = np.sqrt(np.maximum(variance, 0))
     return result
-
-
-def _check(
-    reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
-) -> tuple[int, int]:
-    """Check the arrays and return the numbers of frames and points."""
-    if displacement.ndim != 3:
-        raise ValueError(f"displacement has shape {displacement.shape}: give (K, N, 2)")
-    batch, count = displacement.shape[:2]
-    check_like("displacement", displacement, "float32", (batch, count, 2))
-    check_like("reference", reference, "float32", (1 if len(reference) == 1 else batch, count, 2))
-    if covariance is not None:
-        check_like("covariance", covariance, "float32", (batch, count, 2, 2))
-    if entered is not None:
-        check_like("among", entered.among, "bool", (batch, count))
-        check_like("gradient", entered.gradient, "float32", (batch, count, 2, 2))
-        if entered.covariance is not None:
-            check_like("covariance of the gradient", entered.covariance, "float32", (batch, count, 2, 2, 2, 2))
-    return batch, count

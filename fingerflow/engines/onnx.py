@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,12 @@ from fingerflow.engines.engine import (
     Images,
     KeyFrame,
 )
+from fingerflow.engines.padding import filled
 from fingerflow.engines.prediction import Course
 from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.contact_sizes import cell_of
 from fingerflow.kernels.tracked_points import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
@@ -60,15 +62,11 @@ class _OnnxTemplates:
         """Return the template statistics (n, 32), in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
-    def of(self, rows: Array) -> dict[str, Array]:
-        """Return the arrays of some rows."""
-        return {name: array[:, rows] for name, array in self.arrays.items()}
-
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
         """Return the inputs of `track`, padded to so many points, in the memory of the provider."""
         with self._lock:
             if not self._values:
-                self.arrays = {name: _filled(array, points) for name, array in self.arrays.items()}
+                self.arrays = {name: filled(array, points, axis=1) for name, array in self.arrays.items()}
                 self._values = {name: track.kept(name, array) for name, array in self.arrays.items()}
             return self._values
 
@@ -112,7 +110,7 @@ class OnnxEngine:
         self.points = inputs["prediction"].shape[1]
         self._few = self._sessions["track_few"].inputs["prediction"].shape[1]
         self._view = inputs["topography_view"]
-        self.cell_px = _cell_px(self._view.shape, self._sessions["contact"].outputs["density_margin"])
+        self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         self._supports: dict[bytes, dict[str, Any]] = {}
 
     def images(self, frames: Array) -> Array:
@@ -161,18 +159,14 @@ class OnnxEngine:
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _OnnxTemplates:
         noise = np.array([key.noise], np.float32)
         if warp is None:
-            given = {"topography_view": key.image.view, "noise": noise, "points": self._all("points", points[None])}
+            given = {"topography_view": key.image.view, "noise": noise, **self._all(points=points[None])}
             found = self._sessions["prepare"](given)
             return _OnnxTemplates({name: found[name][:, : len(points)] for name in _TEMPLATES})
         if key.image.spline is None:
             spline = self._sessions["spline"]({"topography_view": key.image.view})["spline"]
             key.image.spline = self._sessions["renew"].kept("spline", spline)
-        parts = []
-        for some in self._pieces(len(points)):
-            given = {name: _filled(one[None, some], self._few) for name, one in (("points", points), ("warp", warp))}
-            found = self._sessions["renew"]({"spline": key.image.spline, "noise": noise, **given})
-            parts.append({name: found[name][:, : some.stop - some.start] for name in _TEMPLATES})
-        return _OnnxTemplates({name: np.concatenate([part[name] for part in parts], axis=1) for name in _TEMPLATES})
+        shared = {"spline": key.image.spline, "noise": noise}
+        return _OnnxTemplates(self._in_pieces("renew", {"points": points[None], "warp": warp[None]}, shared))
 
     def update(self, templates: _OnnxTemplates, rows: Array, updated: _OnnxTemplates) -> None:
         templates.update(rows, updated, self._sessions["track"])
@@ -207,26 +201,21 @@ class OnnxEngine:
                 "prediction": near,
             }
             found = self._sessions["track"](given)
-            every = FoundPoints(*(found[name] for name in FoundPoints._fields))
-            return every.of(slice(None), slice(0, len(rows)) if whole else rows)
-        parts = []
-        for some in self._pieces(len(rows)):
-            held = {name: _filled(array, self._few) for name, array in templates.of(rows[some]).items()}
-            near = _filled(guess[None, some], self._few)
-            found = self._sessions["track_few"]({**held, "topography_view": images, "prediction": near})
-            parts.append([found[name][:, : some.stop - some.start] for name in FoundPoints._fields])
-        return FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
+            return FoundPoints(**found).of(slice(None), slice(0, len(rows)) if whole else rows)
+        held = {name: array[:, rows] for name, array in templates.arrays.items()}
+        return FoundPoints(
+            **self._in_pieces("track_few", {**held, "prediction": guess[None]}, {"topography_view": images})
+        )
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
-        given = {
-            "start": start[None],
-            "found": found.points,
-            "found_covariance": found.covariance,
-            "template_numbers": numbers[None],
-            "inverse_warp": inverse_warp[None],
-        }
-        given = {name: self._all(name, array) for name, array in given.items()}
+        given = self._all(
+            start=start[None],
+            found=found.points,
+            found_covariance=found.covariance,
+            template_numbers=numbers[None],
+            inverse_warp=inverse_warp[None],
+        )
         got = self._sessions["correct"]({**given, **self._support(given["start"])})
         points, covariance, *others = (one[:, :count] for one in got.values())
         return Corrected(found._replace(points=points, covariance=covariance), *others)
@@ -243,37 +232,25 @@ class OnnxEngine:
         return self._supports[name]
 
     def neighbours(self, start: Array) -> dict[str, Array]:
-        near = find_neighbours(self._all("start", start[None])[0], WARP_GAUGE_PX)
+        near = find_neighbours(self._all(start=start[None])["start"][0], WARP_GAUGE_PX)
         number, x, y, within = (one[None, :, : self.points] for one in near)
         offset = np.stack((x, y), axis=-1)
         return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
 
     def outliers(self, neighbours: dict[str, Array], start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        given = {"start": start[None], "found": found.points, "position_std": np.sqrt(found.variance)}
-        given = {name: self._all(name, array) for name, array in given.items()}
+        given = self._all(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
         judged = self._sessions["outliers"]({**neighbours, **given})
         return judged["off_neighbours"][:, : len(start)], judged["uncertain"][:, : len(start)]
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
         views = {"key_view": key.image.view, "topography_view": image}
-        places, returns = [np.zeros((0, 2), np.float32)], [np.zeros(0, bool)]
-        for some in self._pieces(len(points)):
-            given = {
-                name: _filled(one[None, some], self._few) for name, one in (("points", points), ("prediction", guess))
-            }
-            found = self._sessions["search"]({**views, **given})
-            places.append(found["places"][0, : some.stop - some.start])
-            returns.append(found["returns"][0, : some.stop - some.start])
-        return np.concatenate(places), np.concatenate(returns)
+        found = self._in_pieces("search", {"points": points[None], "prediction": guess[None]}, views)
+        return found["places"][0], found["returns"][0]
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
-        parts = []
-        for some in self._pieces(len(places)):
-            given = {name: _filled(one[None, some], self._few) for name, one in (("points", places), ("warp", warp))}
-            found = self._sessions["windows"]({"topography_view": images, **given})["samples"]
-            parts.append(found[0, : some.stop - some.start])
+        given = {"points": places[None], "warp": warp[None]}
+        result: Array = self._in_pieces("windows", given, {"topography_view": images})["samples"][0]
         samples = (2 * (self.settings.window_px // 2) // step + 1) ** 2
-        result = np.concatenate(parts) if parts else np.zeros((0, samples), np.float32)
         if result.shape[1] != samples:
             raise ValueError(f"a grid of {step} px has {samples} samples: the bundle's has {result.shape[1]}")
         return result
@@ -281,8 +258,7 @@ class OnnxEngine:
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
         if variance is not None:
             raise ValueError("the graphs of a bundle fit without variances")
-        given = {"reference": points[None], "displacement": values, "queries": queries[None]}
-        given = {name: self._all(name, array) for name, array in given.items()}
+        given = self._all(reference=points[None], displacement=values, queries=queries[None])
         given["gauge_length"] = np.array([gauge], np.float32)
         return Fit(self._sessions["fit"](given)["gradient"][:, : len(queries)], None)
 
@@ -297,47 +273,37 @@ class OnnxEngine:
         if covariance is not None:
             raise ValueError("the graphs of a bundle give fields without deviations")
         count = len(reference)
-        given = {"reference": reference[None], "displacement": displacement}
+        given = self._all(reference=reference[None], displacement=displacement)
         if entered is not None:
-            given |= {"among": entered.among, "gradient": entered.gradient}
-        given = {name: self._all(name, array) for name, array in given.items()}
+            given |= self._all(among=entered.among, gradient=entered.gradient)
         given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
         found = self._sessions["fields" if entered is None else "fields_entered"](given)
         of_points = {name: found[name][:, :count] for name in ("divergence", "curl", "strain", "shear")}
         of_frame = {name: found[name] for name in ("median", "known_share")}
         return FrameFields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
 
-    def _pieces(self, count: int) -> Iterator[slice]:
-        """Yield slices of `count` rows, each of at most as many as the graphs of few points take."""
-        for first in range(0, count, self._few):
-            yield slice(first, min(first + self._few, count))
+    def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
+        """Return the outputs (1, n, ...) of a graph of few points for any number of points, in as many calls as needed.
 
-    def _all(self, name: str, array: Array) -> Array:
-        """Return an array (1, n, ...) padded with NaN or 0 to the N points of the graphs.
+        `of_points` (1, n, ...) is cut to what the graph takes and padded; `shared` is the same in each call.
+        """
+        session, count = self._sessions[name], next(iter(of_points.values())).shape[1]
+        parts = []
+        for first in range(0, max(count, 1), self._few):
+            some = {key: array[:, first : first + self._few] for key, array in of_points.items()}
+            parts.append(session({**shared, **{key: filled(one, self._few, axis=1) for key, one in some.items()}}))
+        return {key: np.concatenate([part[key] for part in parts], axis=1)[:, :count] for key in parts[0]}
+
+    def _all(self, **given: Array) -> dict[str, Array]:
+        """Return arrays (1, n, ...) by name, padded with NaN or 0 to the N points of the graphs.
 
         Raises:
-            FingerflowError: it has more points.
+            FingerflowError: one has more points.
         """
-        if array.shape[1] > self.points:
-            raise FingerflowError(
-                f"{name}: {array.shape[1]} points are given, the bundle was exported for {self.points}; export it again"
-            )
-        return _filled(array, self.points)
-
-
-def _cell_px(view: tuple[int, ...], cells: tuple[int, ...]) -> int:
-    """Return the side of a cell, from the shapes of the view and of its cells."""
-    return next(
-        side for side in (1, 2, 4, 8) if all(-(-a // side) == b for a, b in zip(view[2:], cells[2:], strict=True))
-    )
-
-
-def _filled(array: Array, count: int) -> Array:
-    """Return an array (1, n, ...) padded to (1, count, ...) with NaN, or 0 for integers."""
-    missing = count - array.shape[1]
-    if not missing:
-        return array
-    filled = np.empty((1, count, *array.shape[2:]), array.dtype)
-    filled[:, :-missing] = array
-    filled[:, -missing:] = np.nan if array.dtype.kind == "f" else 0
-    return filled
+        for name, array in given.items():
+            if array.shape[1] > self.points:
+                raise FingerflowError(
+                    f"{name}: {array.shape[1]} points are given, the bundle was exported for {self.points}; export it "
+                    "again"
+                )
+        return {name: filled(array, self.points, axis=1) for name, array in given.items()}

@@ -39,7 +39,6 @@ class GraphSession:
 
     Attributes:
         inputs: by name.
-        outputs: shapes by name.
         shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU,
             unless the graph computes in float64.
     """
@@ -47,8 +46,7 @@ class GraphSession:
     def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
         self._session, self._path, self._device = session, path, device
         self.inputs = {one.name: _input(one, path) for one in session.get_inputs()}
-        self.outputs = {one.name: tuple(one.shape) for one in session.get_outputs()}
-        self._names = list(self.outputs)
+        self._names = [one.name for one in session.get_outputs()]
         self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
@@ -93,19 +91,16 @@ class Sessions:
     """
 
     def __init__(self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> None:
-        self._files, self._threads = files, threads
+        self._threads = threads
         self._short, self.provider = provider, provider_named(provider)
-        self._sessions = {name: self._open(name) for name in files}
+        self._sessions = {name: self._open(name, path) for name, path in files.items()}
 
     def __getitem__(self, name: str) -> GraphSession:
         if name not in self._sessions:
             raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
         return self._sessions[name]
 
-    def _open(self, name: str) -> GraphSession:
-        if name not in self._files:
-            raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
-        path = self._files[name]
+    def _open(self, name: str, path: Path) -> GraphSession:
         session = self._session(path)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:

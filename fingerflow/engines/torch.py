@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,14 +38,8 @@ from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
-M = TypeVar("M", bound=nn.Module)
 Modules = Callable[[Any], Any]  # returns the callable that replaces a module
 _Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
-
-
-def as_it_is(module: M) -> M:
-    """Return the module itself."""
-    return module
 
 
 @dataclass
@@ -70,7 +64,9 @@ class TorchEngine:
 
     name = "torch"
 
-    def __init__(self, settings: EngineSettings, device: torch.device, modules: Modules = as_it_is) -> None:
+    def __init__(
+        self, settings: EngineSettings, device: torch.device, modules: Modules = lambda module: module
+    ) -> None:
         self.settings, self._device, self._modules = settings, device, modules
         own = settings
         self._contact = modules(ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px))

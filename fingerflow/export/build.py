@@ -1,11 +1,12 @@
 """Graphs of a recipe: modules, with name, type and unit of all inputs and outputs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import (
     AgreementGraph,
@@ -33,15 +34,15 @@ from fingerflow.tracker.verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 
+_TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 #: Graphs for a fixed number `engines.engine.ROWS` of points (rows), and which of their inputs are cut to it.
 OF_FEW: dict[str, tuple[str, ...]] = {
     "renew": ("points", "warp"),
-    "track_few": (*(f"template_{name}" for name in Templates._fields), "prediction"),
+    "track_few": (*_TEMPLATES, "prediction"),
     "search": ("points", "prediction"),
     "windows": ("points", "warp"),
 }
 
-_TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")
 _ELLIPSE = GrossEllipse._fields
 _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
@@ -75,6 +76,12 @@ class Graph:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
+    def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the outputs by name for inputs by name, computed by the portable form of every op."""
+        with torch.inference_mode(), Portable():
+            results = self.module(*(known[name] for name in self.inputs))
+        return dict(zip(self.outputs, results, strict=True))
+
 
 class _Call(nn.Module):
     """Module that calls a function or module with any number of tensors by position."""
@@ -88,7 +95,7 @@ class _Call(nn.Module):
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """Return the graphs that a recipe requests, in a valid order of execution.
+    """Return all graphs of a recipe, also those that it does not export, in a valid order of execution.
 
     Args:
         precision: replaces the recipe's.
@@ -102,7 +109,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
         ("points", "response"),
     )
     graphs = {}
-    for name in (name for name in GRAPHS if name in recipe.export.graphs):
+    for name in GRAPHS:
         call, inputs, outputs = described[name]
         graphs[name] = Graph(_Call(call).eval(), inputs, outputs)
     return graphs

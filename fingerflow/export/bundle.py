@@ -5,7 +5,6 @@ and in float64, on a press and on hard cases. Only standard operators of opset 1
 """
 
 import hashlib
-import importlib.metadata
 import json
 import re
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
+from fingerflow import __version__
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.carried_modules import carry_modules
@@ -51,7 +51,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     part = unfinished(folder)
     try:
         part.mkdir(parents=True)
-        graphs = build(recipe)
+        graphs = {name: graph for name, graph in build(recipe).items() if name in recipe.export.graphs}
         models = {
             name: write_graph(recipe, name, graph, part)
             for name, graph in tqdm(graphs.items(), "export", disable=not progress)
@@ -77,17 +77,14 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
     known = completed(recipe, cases(recipe, batch)[0])
     # The exporter would merge two inputs that are the same tensor.
-    tensors = tuple(tensor.clone() for tensor in feed(name, graph, known))
-    shapes = None
-    if dynamic:
-        batched = {0: torch.export.Dim.DYNAMIC}
-        shapes = (tuple(batched for _ in graph.inputs),)
+    tensors = tuple(tensor.clone() for tensor in feed(name, graph, known).values())
+    shapes = (tuple({0: torch.export.Dim.DYNAMIC} for _ in graph.inputs),) if dynamic else None
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
-    model.producer_name, model.producer_version = "fingerflow", version()
+    model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()
     facts = {
-        "version": version(),
+        "version": __version__,
         "graph": name,
         "recipe": recipe.model_dump_json(),
         "units": json.dumps({one: UNITS[one] for one in (*graph.inputs, *graph.outputs)}),
@@ -105,7 +102,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     """Write the player, the files for the technician, and bundle.json."""
     about = {
         "format": BUNDLE_FORMAT,
-        "fingerflow": version(),
+        "fingerflow": __version__,
         "recipe": recipe.model_dump(),
         "graphs": models,
         "expected": expected_numbers(recipe),
@@ -130,11 +127,3 @@ def scene_for(template: str, height: int, width: int) -> str:
         "[100, 540]": (width // 5, 4 * width // 5),
     }
     return re.sub("|".join(map(re.escape, places)), lambda found: str(list(places[found[0]])), template)
-
-
-def version() -> str:
-    """Return the version of the installed package."""
-    try:
-        return importlib.metadata.version("fingerflow-engine")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"

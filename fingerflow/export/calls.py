@@ -46,6 +46,11 @@ class GraphCall(NamedTuple):
         return [value for value in self.values if isinstance(value, Tensor)]
 
     @property
+    def settings(self) -> list[Any]:
+        """Return the leaves with None in place of tensors."""
+        return [None if isinstance(value, Tensor) else value for value in self.values]
+
+    @property
     def tensor_axes(self) -> list[Axis]:
         """Return for each tensor the axis along which points lie, else None."""
         return [axis for axis, value in zip(self.axes, self.values, strict=True) if isinstance(value, Tensor)]
@@ -55,6 +60,15 @@ class GraphCall(NamedTuple):
         """Return the number of points; 0 if no tensor has an axis of points."""
         found = (one.shape[axis] for one, axis in zip(self.tensors, self.tensor_axes, strict=True) if axis is not None)
         return next(found, 0)
+
+    def of_recording(self, place: int, batch: int) -> "GraphCall":
+        """Return the call for one recording: its row of each tensor of the batch; tensors (1, ...) are for all."""
+        return self._replace(
+            values=[
+                value[place : place + 1] if isinstance(value, Tensor) and len(value) == batch else value
+                for value in self.values
+            ]
+        )
 
     def with_tensors(self, tensors: Sequence[Tensor]) -> dict[str, Any]:
         """Return the arguments by name, with its tensors replaced by others in the same order."""

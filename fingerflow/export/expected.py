@@ -8,8 +8,7 @@ from torch import Tensor
 
 from fingerflow.engines.check import THRESHOLD, built_in
 from fingerflow.export.build import build
-from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, Recipe
+from fingerflow.export.recipe import Recipe
 from fingerflow.kernels.tracking_limits import ROUNDS
 from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
 
@@ -21,8 +20,7 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
     views, own = recipe.views, recipe.tracking
     size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
     frame = built_in(**size, window_px=own.window_px)
-    every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
-    graphs = build(every, torch.float64)
+    graphs = build(recipe, torch.float64)
     known: dict[str, Tensor] = {
         "empty": _picture(frame.empty).double(),
         "dark": torch.zeros(1, 1, views.height, views.width, dtype=torch.float64),
@@ -34,29 +32,21 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
         "inverse_warp": torch.eye(2, dtype=torch.float64).expand(1, own.points, 2, 2),
     }
 
-    def run(name: str, **other: Tensor) -> dict[str, Tensor]:
-        graph = graphs[name]  # type: ignore[index]
-        given = [(known | other)[one] for one in graph.inputs]
-        with torch.inference_mode(), Portable():
-            found = graph.module(*(one.double() if one.is_floating_point() else one for one in given))
-        return dict(zip(graph.outputs, found, strict=True))
-
-    known |= run("light")
-    contact = run("contact")
-    known |= run("noise")
-    known |= run("prepare")
+    known |= graphs["light"].run(known)
+    contact = graphs["contact"].run(known)
+    known |= graphs["noise"].run(known)
+    known |= graphs["prepare"].run(known)
     known["topography_view"] = _picture(frame.topography)
     templates = Templates(*(known[f"template_{name}"] for name in Templates._fields))
 
     def step(some: Templates, near: Tensor) -> Found:
-        return Found(
-            **run("track", **{f"template_{name}": one for name, one in some._asdict().items()}, prediction=near)
-        )
+        of_templates = {f"template_{name}": one for name, one in some._asdict().items()}
+        return Found(**graphs["track"].run({**known, **of_templates, "prediction": near}))
 
     found = in_rounds(step, templates, known["prediction"], ROUNDS)
     known |= {"start": templates.start, "found": found.points, "found_covariance": found.covariance}
-    known |= run("support")
-    corrected = run("correct")
+    known |= graphs["support"].run(known)
+    corrected = graphs["correct"].run(known)
     variance = corrected["covariance"].diagonal(dim1=-2, dim2=-1).mean(-1)
     numbers = {
         **{name: contact[name] for name in ("real_area_px", "gross_area_px", "center", "semi_axes")},

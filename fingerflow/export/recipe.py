@@ -4,60 +4,70 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
-from fingerflow.engines.names import GRAPHS as GRAPHS
-from fingerflow.engines.names import GraphName as GraphName
+from fingerflow.engines.bundle import GRAPHS as GRAPHS
+from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
-from fingerflow.export.strict import Odd, StrictBool, StrictInt, StrictNumber
 
 _LARGEST_SIDE = 4096  # px: counts of pixels are exact in float32 up to 2^24
 
 
+def _odd(value: int) -> int:
+    if value % 2 == 0:
+        raise ValueError(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
+    return value
+
+
+Odd = Annotated[int, AfterValidator(_odd)]
+
+
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    """Values are not converted: "700" and true are no numbers, 0.5 is no integer; an integer is a number."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class ViewRecipe(_Table):
     """Settings [views]: size of both views in px, bits of a pixel (uint8 for 8, else uint16), batch size."""
 
-    height: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
-    width: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
-    bit_depth: Annotated[StrictInt, Field(ge=8, le=16)] = 8
-    batch: Annotated[StrictInt, Field(ge=1, le=64)] | Literal["dynamic"] = 1
+    height: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
+    width: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
+    batch: Annotated[int, Field(ge=1, le=64)] | Literal["dynamic"] = 1
 
 
 class ContactRecipe(_Table):
     """Settings [contact] as in a scene, and which outputs `ContactGraph` leaves out."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
-    gross_radius_px: Annotated[StrictInt, Field(ge=1, le=255)] = 8
-    stride_px: Annotated[StrictInt, Field(ge=1, le=16)] = 1
+    gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8
+    stride_px: Annotated[int, Field(ge=1, le=16)] = 1
     cell_px: Literal[4, 8] | None = None  # side of the cells of the gross contact region
-    real_contact_mask: StrictBool = True  # whether `contact` outputs the mask
+    real_contact_mask: bool = True  # whether `contact` outputs the mask
 
 
 class TrackingRecipe(_Table):
     """Settings [tracking] as in a scene."""
 
-    points: Annotated[StrictInt, Field(ge=3, le=5000)] = 700
+    points: Annotated[int, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
-    min_distance_px: Annotated[StrictNumber, Field(ge=1, le=50)] = 6.0
-    forward_backward_limit_px: Annotated[StrictNumber, Field(gt=0)] = 1.0
-    gain_offset: StrictBool = True
-    search_px: Annotated[StrictInt, Field(ge=1, le=16)] = 8
+    min_distance_px: Annotated[float, Field(ge=1, le=50)] = 6.0
+    forward_backward_limit_px: Annotated[float, Field(gt=0)] = 1.0
+    gain_offset: bool = True
+    search_px: Annotated[int, Field(ge=1, le=16)] = 8
 
 
 class FieldsRecipe(_Table):
     """Settings [fields] as in a scene."""
 
-    gauge_length_mm: Annotated[StrictNumber, Field(gt=0, le=100)] = 1.6
+    gauge_length_mm: Annotated[float, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):
     """Settings [export]: the graphs to export, and the precision of all operations but the median."""
 
-    graphs: tuple[GraphName, ...] = GRAPHS
+    graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # TOML has lists only
     precision: Literal["float32", "float64"] = "float32"
 
 

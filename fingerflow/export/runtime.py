@@ -23,7 +23,6 @@ from fingerflow.export.standard_model import need_packages, standard_model
 
 M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # packages whose code graphs are made of
-_OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
 _PATIENCE = 60.0  # s of export after which a warning explains the delay
 # Smallest number of points of a graph, so that the small groups of points where skin enters share one graph.
 _LEAST_POINTS = 256
@@ -92,7 +91,14 @@ class OnnxRuntime:
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
         """Return the cache key of a graph: method, settings, shapes, other arguments, torch version and source hash."""
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
-        facts = [_code(), torch.__version__, leaves.title, settings_of(leaves.module), shapes, repr(leaves.values)]
+        facts = [
+            _code(),
+            torch.__version__,
+            leaves.title,
+            settings_of(leaves.module),
+            shapes,
+            repr(leaves.call.settings),
+        ]
         digest = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
         return f"{leaves.title}-{digest[:24]}"
 
@@ -113,35 +119,17 @@ class _Executed:
 
     def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
         call = GraphCall.of(self._module, method, arguments, named)
-        own = [isinstance(value, Tensor) for value in call.values]
-        shared = [any(name in path for name in _OF_ALL) for path in call.names]
-        batch = max(
-            len(value) for value, tensor, of_all in zip(call.values, own, shared, strict=True) if tensor and not of_all
-        )
-        results = []
-        for one in range(batch):
-            single = [
-                value[one : one + 1] if tensor and not of_all and len(value) == batch > 1 else value
-                for value, tensor, of_all in zip(call.values, own, shared, strict=True)
-            ]
-            results.append(self._run_one(method, call._replace(values=single)))
-        if batch == 1:
-            return results[0]
-        flat = [tree.tree_flatten(result) for result in results]
-        joined = [
-            torch.cat(some) if isinstance(some[0], Tensor) else some[0]
-            for some in zip(*(leaves for leaves, _ in flat), strict=True)
-        ]
-        return tree.tree_unflatten(joined, flat[0][1])
+        batch = max(map(len, call.tensors))
+        results = [self._run_one(method, call.of_recording(one, batch)) for one in range(batch)]
+        return tree.tree_map(lambda *some: torch.cat(some) if isinstance(some[0], Tensor) else some[0], *results)
 
     def _run_one(self, method: str, call: GraphCall) -> Any:
         given, along, points = call.tensors, call.tensor_axes, call.points
         inputs = [name for name, value in zip(call.names, call.values, strict=True) if isinstance(value, Tensor)]
         tensors = filled_up(given, along, _room(points))
-        plain = repr([None if isinstance(value, Tensor) else value for value in call.values])
         key = (
             method,
-            plain,
+            repr(call.settings),
             tuple(call.names),
             tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True)),
         )
@@ -152,33 +140,27 @@ class _Executed:
                 more = result
                 if points:
                     more = tree.tree_leaves(leaves.result(*filled_up(given, along, _room(points) + 1)))
-            # An argument that is returned unchanged would be an output with the name of an input.
-            same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
-            leaves.through = [place is not None for place in same]
-            count = sum(isinstance(leaf, Tensor) and place is None for leaf, place in zip(result, same, strict=True))
-            session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
-            # Keep for each computed result that it is a tensor, and its axes of points, but not its memory.
+            # For each result its axes of points, without its memory; None for one that is no tensor.
             of_results = [
-                axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else leaf
+                axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else None
                 for leaf, other in zip(result, more, strict=True)
             ]
-            computed = [isinstance(leaf, Tensor) for leaf in result]
-            self._sessions[key] = session, list(zip(of_results, computed, same, strict=True)), result_structure
-        session, result, result_structure = self._sessions[key]
+            count = sum(axes is not None for axes in of_results)
+            session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
+            self._sessions[key] = session, of_results, result_structure
+        session, of_results, result_structure = self._sessions[key]
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
         known = {one.name for one in session.get_inputs()}  # unused inputs are not among them
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
-        joined = []
-        for value, computed, place in result:
-            if place is not None:
-                joined.append(given[place])
-            elif computed:
-                tensor = torch.from_numpy(next(found))
-                for axis in value:
-                    tensor = tensor.narrow(axis, 0, points)
-                joined.append(tensor)
-            else:
-                joined.append(value)
+        joined: list[Tensor | None] = []
+        for axes in of_results:
+            if axes is None:
+                joined.append(None)
+                continue
+            tensor = torch.from_numpy(next(found))
+            for axis in axes:
+                tensor = tensor.narrow(axis, 0, points)
+            joined.append(tensor)
         return tree.tree_unflatten(joined, result_structure)
 
 
@@ -194,17 +176,15 @@ class _Leaves(nn.Module):
         super().__init__()
         self.module, self.method, self.call = module, method, call
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
-        self.values = [None if isinstance(value, Tensor) else value for value in call.values]
-        self.through: list[bool] = []  # which leaves of the result are arguments, known after a call
 
     def result(self, *tensors: Tensor) -> Any:
         """Return the result of the method in its own structure."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        leaves = tree.tree_leaves(self.result(*tensors))
-        through = self.through or [False] * len(leaves)
-        return tuple(leaf for leaf, same in zip(leaves, through, strict=True) if isinstance(leaf, Tensor) and not same)
+        results = [leaf for leaf in tree.tree_leaves(self.result(*tensors)) if isinstance(leaf, Tensor)]
+        # An argument that is returned unchanged would be an output with the name of an input.
+        return tuple(leaf.clone() if any(leaf is one for one in tensors) else leaf for leaf in results)
 
 
 def _own_folder() -> Path:

@@ -1,6 +1,5 @@
 """Verification of exported graphs: ONNX Runtime on the CPU against torch in the recipe's precision and in float64."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,6 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
-from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import Recipe
 from fingerflow.export.verification_frames import cases, completed, feed
 from fingerflow.kernels.tracking_limits import Number
@@ -34,30 +32,21 @@ class Difference(NamedTuple):
     share: float
 
 
-@dataclass(frozen=True)
-class GraphTolerance:
-    """Largest tolerated differences to torch in the same precision and in float64; each graph gets the same inputs."""
-
-    to_torch: float
-    to_float64: float
-
-
+# Largest tolerated differences to torch in the same precision and in float64; each graph gets the same inputs.
 # Points: a position of 640 px has a spacing of 6e-5 px in float32; the project guarantees 1e-3 px. Fields: rounding
 # of a position over a gauge length of tens of px. All but px and rad is relative to the largest value of the output:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
-    "points": GraphTolerance(1e-3, 1e-3),
+    "points": (1e-3, 1e-3),
     # False matches have a nearly singular backward check and step; the limit of both is 1 px.
-    **dict.fromkeys(("error", "estimate"), GraphTolerance(2e-2, 2e-2)),
-    **dict.fromkeys(
-        ("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), GraphTolerance(2e-4, 1e-3)
-    ),
+    **dict.fromkeys(("error", "estimate"), (2e-2, 2e-2)),
+    **dict.fromkeys(("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), (2e-4, 1e-3)),
     # A cell at the border of the region may be classified differently in float64.
-    **dict.fromkeys(("center", "semi_axes"), GraphTolerance(1e-3, 0.1)),
-    "angle": GraphTolerance(1e-4, 2e-2),  # 0.1 px turns an axis that is 5 px longer than the other by this angle
-    **dict.fromkeys(("threshold", "covariance"), GraphTolerance(1e-4, 1e-3)),  # covariance as standard deviations in px
+    **dict.fromkeys(("center", "semi_axes"), (1e-3, 0.1)),
+    "angle": (1e-4, 2e-2),  # 0.1 px turns an axis that is 5 px longer than the other by this angle
+    **dict.fromkeys(("threshold", "covariance"), (1e-4, 1e-3)),  # covariance as standard deviations in px
 }
-_RELATIVE = GraphTolerance(1e-4, 1e-3)
+_RELATIVE = (1e-4, 1e-3)
 _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may change
 
 
@@ -78,7 +67,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     options.intra_op_num_threads = torch.get_num_threads()
     sessions = {
         name: onnxruntime.InferenceSession(folder / f"{name}.onnx", options, providers=["CPUExecutionProvider"])
-        for name in graphs
+        for name in recipe.export.graphs
     }
     worst: dict[tuple[str, str], Difference] = {}
     for batch in batches:
@@ -86,15 +75,12 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
             known = completed(recipe, case)  # same inputs in all three, so that errors do not propagate between graphs
             for name in sessions:
                 graph = graphs[name]
-                tensors = feed(name, graph, known)
-                with torch.inference_mode(), Portable():
-                    reference = graph.module(*tensors)
-                    double = exact[name].module(*(_double(one) for one in tensors))
-                arrays = {one: tensor.numpy() for one, tensor in zip(graph.inputs, tensors, strict=True)}
-                inputs = {one.name for one in sessions[name].get_inputs()}
-                results = sessions[name].run(list(graph.outputs), {k: v for k, v in arrays.items() if k in inputs})
-                for output, ours, near, far in zip(graph.outputs, results, reference, double, strict=True):
-                    row = _difference(name, output, ours, near.numpy(), far.numpy())
+                given = feed(name, graph, known)
+                reference = graph.run(given)
+                double = exact[name].run({one: _double(tensor) for one, tensor in given.items()})
+                arrays = {one.name: given[one.name].numpy() for one in sessions[name].get_inputs()}
+                for output, ours in zip(graph.outputs, sessions[name].run(graph.outputs, arrays), strict=True):
+                    row = _difference(name, output, ours, reference[output].numpy(), double[output].numpy())
                     key = (name, output)
                     worst[key] = row if key not in worst else _worse(worst[key], row)
     rows = list(worst.values())
@@ -158,16 +144,9 @@ def _largest(ours: NDArray[Any], other: NDArray[Any]) -> float:
 
 
 def _worse(one: Difference, other: Difference) -> Difference:
-    return Difference(
-        *one[:3],
-        max(one.to_torch, other.to_torch),
-        max(one.to_float64, other.to_float64),
-        max(one.flips, other.flips),
-        max(one.share, other.share),
-    )
+    return one._replace(**{name: max(getattr(one, name), getattr(other, name)) for name in one._fields[3:]})
 
 
 def _tolerable(row: Difference) -> bool:
-    tolerance = _TOLERANCES.get(row.output, _RELATIVE)
-    near, far = row.to_torch <= tolerance.to_torch, row.to_float64 <= tolerance.to_float64
-    return near and far and row.flips == 0 and row.share <= _MOST_FLIPS
+    near, far = _TOLERANCES.get(row.output, _RELATIVE)
+    return row.to_torch <= near and row.to_float64 <= far and row.flips == 0 and row.share <= _MOST_FLIPS

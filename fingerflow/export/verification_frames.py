@@ -1,16 +1,16 @@
 """Test cases for exported graphs: the default synthetic press, sized to the recipe's views, and hard cases."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from fingerflow.engines.check import spread
 from fingerflow.engines.engine import ROWS
 from fingerflow.export.build import OF_FEW, Graph, build
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.templates import inverse_2x2
@@ -29,17 +29,6 @@ class Case(NamedTuple):
     inputs: dict[str, Tensor]
 
 
-class _Pictures(NamedTuple):
-    """Views (H, W) of a press: both of a frame, topography of the key frame, empty glass, and without light."""
-
-    contact: Tensor
-    topography: Tensor
-    key: Tensor
-    glass: Tensor
-    dark: Tensor
-    mm_per_px: float
-
-
 def cases(recipe: Recipe, batch: int) -> list[Case]:
     """Return the test cases: a press with sub-pixel motion; blank, black, saturated or noise frames; invalid points."""
     size = (recipe.views.height, recipe.views.width)
@@ -54,34 +43,31 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         noise = 0.008 * most * torch.randn(size, generator=generator)
         return view((light * most + noise).round().clamp(0, most))
 
-    pictures = _press(*size, recipe.views.bit_depth)
-    points = _points(size, recipe.tracking.points).expand(batch, -1, -1).contiguous()
+    pictures, mm_per_px = _press(*size, recipe.views.bit_depth)
+    points = torch.from_numpy(spread(*size, recipe.tracking.points)).float().expand(batch, -1, -1).contiguous()
     lost = points.clone()
     lost[:, ::5] = torch.nan
     lost[:, 1::5] = -3.0
     lost[:, 2::5] += 40.0
     radius = _radius(points, size)
-    reference = pictures.mm_per_px * _reference(points, size)
+    reference = mm_per_px * _reference(points, size)
     among = radius < _ENTERED
     press = {
-        "empty": pictures.glass.expand(batch, 1, *size).contiguous(),
-        "dark": pictures.dark.expand(batch, 1, *size).contiguous(),
+        **{name: pictures[name].expand(batch, 1, *size).contiguous() for name in ("empty", "dark")},
+        **{name: view(pictures[name]) for name in ("contact_view", "topography_view", "key_view")},
         "threshold": torch.full((batch,), 0.27),
         "mask": torch.ones(batch, 1, *size, dtype=torch.bool),
-        "contact_view": view(pictures.contact),
-        "topography_view": view(pictures.topography),
-        "key_view": view(pictures.key),
         "points": points,
         "prediction": points,
         "warp": _warp(points),
         "inverse_warp": inverse_2x2(_warp(points)),
         "reference": reference,
-        "displacement": pictures.mm_per_px * points - reference,
-        "queries": pictures.mm_per_px * points,
+        "displacement": mm_per_px * points - reference,
+        "queries": mm_per_px * points,
         "gauge_length": torch.full((batch,), recipe.fields.gauge_length_mm),
         "among": among,
         "gradient": torch.where(among[..., None, None], (_warp(points) - torch.eye(2)) / 2, torch.nan),
-        **{f"ellipse_{name}": one for name, one in _ellipse(batch, size, pictures.mm_per_px).items()},
+        **{f"ellipse_{name}": one for name, one in _ellipse(batch, size, mm_per_px).items()},
     }
     noise = view((torch.rand(size, generator=generator) * most).round())
     hard = {"blank": flat(0.5), "black": flat(0.0), "saturated": flat(2.0), "noise": noise}
@@ -100,33 +86,35 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
     """Return the inputs of a case and those that are outputs of other graphs, computed by torch."""
     known = dict(case.inputs)
-    every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
-    graphs = build(every)
+    graphs = build(recipe)
+    for name in ("light", "noise", "spline", "prepare"):
+        known |= graphs[name].run(feed(name, graphs[name], known))
+    found = graphs["track"].run(known)
+    known |= {"found": found["points"], "found_covariance": found["covariance"]}
+    known["start"] = known["template_start"]
+    known |= graphs["support"].run(known)
+    names_of_neighbours = ("neighbour_number", "neighbour_offset", "neighbour_within")
     with torch.inference_mode(), Portable():
-        for name in ("light", "noise", "spline", "prepare", "track"):
-            found = graphs[name].module(*feed(name, graphs[name], known))
-            names = {"points": "found", "covariance": "found_covariance"} if name == "track" else {}
-            known |= {names.get(one, one): tensor for one, tensor in zip(graphs[name].outputs, found, strict=True)}
-        known["start"] = known["template_start"]
-        known |= zip(graphs["support"].outputs, graphs["support"].module(known["start"]), strict=True)
-        names_of_neighbours = ("neighbour_number", "neighbour_offset", "neighbour_within")
         known |= zip(names_of_neighbours, find_neighbours(known["start"], WARP_GAUGE_PX), strict=True)
         known["position_std"] = known["found_covariance"].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     return known
 
 
-def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tensor, ...]:
-    """Return the inputs of a graph by position; graphs of the key frame get the key view."""
+def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return the inputs of a graph by name; graphs of the key frame get the key view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
     few = OF_FEW.get(name, ())
-    return tuple(source[one][:, :ROWS] if one in few else source[one] for one in graph.inputs)
+    return {one: source[one][:, :ROWS] if one in few else source[one] for one in graph.inputs}
 
 
 @lru_cache(maxsize=4)
-def _press(height: int, width: int, bit_depth: int) -> _Pictures:
-    """Return the default press; for smaller views the finger is scaled down."""
+def _press(height: int, width: int, bit_depth: int) -> tuple[dict[str, Tensor], float]:
+    """Return images (H, W) of the default press by the names of inputs, and mm of a px.
+
+    For smaller views the finger is scaled down.
+    """
     scale = min(1.0, height / _SHIPPED[0], width / _SHIPPED[1])
     shipped = Press()
     press = Press(
@@ -135,21 +123,15 @@ def _press(height: int, width: int, bit_depth: int) -> _Pictures:
         finger=(scale * shipped.finger[0], scale * shipped.finger[1]),
         camera=Camera(bit_depth=bit_depth),
     )
-
-    def picture(frame: int, name: str) -> Tensor:
-        return torch.from_numpy(press.views[name].crop(press.render(frame)).astype("int32"))
-
-    glass, dark = (
-        torch.from_numpy(press.views["contact"].crop(one).astype("float32")) for one in (press.empty(), press.dark())
-    )
-    return _Pictures(
-        picture(_FRAME, "contact"),
-        picture(_FRAME, "topography"),
-        picture(_KEY, "topography"),
-        glass,
-        dark,
-        press.mm_per_px,
-    )
+    contact, topography = press.views["contact"], press.views["topography"]
+    pictures = {
+        "contact_view": contact.crop(press.render(_FRAME)),
+        "topography_view": topography.crop(press.render(_FRAME)),
+        "key_view": topography.crop(press.render(_KEY)),
+        "empty": contact.crop(press.empty()),
+        "dark": contact.crop(press.dark()),
+    }
+    return {name: torch.from_numpy(one.astype("float32")) for name, one in pictures.items()}, press.mm_per_px
 
 
 def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
@@ -184,13 +166,3 @@ def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, T
         "semi_axes": (_BORDER * half).contiguous(),
         "angle": torch.full((batch,), 0.1),
     }
-
-
-def _points(size: tuple[int, int], count: int) -> Tensor:
-    """Return points (1, N, 2) px, spread over the frame up to its border."""
-    columns = math.ceil(math.sqrt(count * size[1] / size[0]))
-    number = torch.arange(count)
-    rows = -(-count // columns)
-    x = (number % columns + 0.5) / columns * (size[1] - 1)
-    y = (number // columns + 0.5) / rows * (size[0] - 1)
-    return torch.stack((x, y), dim=1)[None]

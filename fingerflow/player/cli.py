@@ -15,18 +15,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from fingerflow.engines.bundle import load_bundle
 from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
-from fingerflow.player.bundle import load_bundle
 from fingerflow.player.handover import Slot
 from fingerflow.player.live import LiveForces
 from fingerflow.player.played import played_by
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.scene import contradictions, stream_settings
-from fingerflow.player.settings import Settings
 from fingerflow.player.sources import kinds
-from fingerflow.player.stream import Player
+from fingerflow.player.stream import Player, Settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.schema.unfinished import remove, unfinished
@@ -56,7 +55,7 @@ def main(
     sys.setswitchinterval(5e-4)
     try:
         return _stream(options, forces_of)
-    except PlayerError as error:
+    except FingerflowError as error:
         print(f"fingerflow: {error}", file=sys.stderr)
         return 2
 
@@ -78,10 +77,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
             "--parallel-frames and --provider are of ONNX Runtime, and the engine native computes one frame at a time "
             "on all threads; leave them out, or take --engine onnx"
         )
-    try:
-        engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
-    except FingerflowError as error:
-        raise error if isinstance(error, PlayerError) else PlayerError(str(error)) from None
+    engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
     # With ONNX Runtime the lag is at least 2, so that sequential and parallel frames give the same numbers.
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
@@ -95,7 +91,6 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         every=every,
         queue=options.queue if every else 1,
         rate=options.rate or (None if live else scene.frame_rate),
-        first=played.first,
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
         parallel=parallel,
@@ -121,15 +116,12 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     sink = Sink(folder, header, numbered=named is None)
     try:
         source = played.open_source(played.first)
-    except PlayerError:
+    except FingerflowError:
         raise
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
     forces = forces_of(played.forces_in) if played.forces_in is not None and options.page else None
-    player = Player(
-        *(tracker, engine.described, bundle, scene, source, played.open_source, sink, layout, settings, name),
-        *(played.expected, forces),
-    )
+    player = Player(tracker, engine.described, bundle, played, source, sink, layout, settings, forces)
     with _stopped_by_signals(player) as received:
         summary = player.run()
     text = json.dumps({**summary, "engine": engine.described, "policy": header["policy"]}, indent=1)

@@ -9,10 +9,11 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.bundle import Bundle
-from fingerflow.player.scene import StreamScene, ViewRange
+from fingerflow.player.scene import StreamScene
+from fingerflow.schema.views import View
 from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
@@ -163,5 +164,5 @@ class Slot(Frame):
                 )
 
 
-def _views(scene: StreamScene) -> dict[str, ViewRange]:
+def _views(scene: StreamScene) -> dict[str, View]:
     return {CONTACT_VIEW: scene.contact, TOPOGRAPHY_VIEW: scene.topography}

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
-from fingerflow.player.bundle import Bundle
 from fingerflow.player.handover import Slot
 from fingerflow.schema.variables import VARIABLES
 

@@ -8,16 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
-from fingerflow.errors import PlayerError
-from fingerflow.player.background import mean_view
-from fingerflow.player.bundle import Bundle
+from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.player.live import Expected
 from fingerflow.player.scene import StreamScene, check_scene, load_scene
 from fingerflow.player.sources import open_source
 from fingerflow.player.sources.camera import open_camera
 from fingerflow.player.sources.source import OpenSource
 from fingerflow.player.sources.synthetic import Synthetic, side_by_side
+from fingerflow.schema.views import View
+
+_STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's
 
 
 class Played(NamedTuple):
@@ -51,7 +53,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
     check_scene(scene, bundle, path)
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
-        gauge = bundle.recipe.get("fields", {}).get("gauge_length_mm") if path is None else None
+        gauge = bundle.engine_settings.gauge_length_mm if path is None else None
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
         glass = scene.contact.crop(drawn.background)
         # The true values hold only for the scene of the synthetic source, not for the views of a scene file.
@@ -88,3 +90,31 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
         *(first, frames, None, forces_in),
     )
+
+
+def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
+    """Return a view (H, W) float32 of the mean of the first 64 frames of a file; frames may hold the view alone.
+
+    Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
+    """
+    source = open_source(path, shape, dtype)
+    total, count = np.zeros(view.shape), 0
+    try:
+        while count < _STILLS and (frame := source.read()) is not None:
+            if frame.dtype.kind != "f" and frame.dtype != bundle.dtype:
+                raise PlayerError(
+                    f"{path}: a frame is {frame.dtype}, the bundle takes {bundle.dtype} (bit_depth "
+                    f"{bundle.bit_depth}): grey levels of two depths cannot be compared; record it with the settings "
+                    "of the stream"
+                )
+            try:
+                part = frame if frame.shape == view.shape else view.crop(frame)
+            except FingerflowError as error:
+                raise PlayerError(f"{path}: {error}; record it with the settings of the stream") from None
+            total, count = total + part, count + 1
+    finally:
+        source.close()
+    if not count:
+        raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
+    mean: Array = (total / count).astype(np.float32)
+    return mean

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -35,18 +35,11 @@ _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 
 
-class _Field(NamedTuple):
-    """Field of a record: its variable, its type in NumPy notation, and its shape without the frame dimension."""
-
-    variable: Variable
-    type: str
-    shape: tuple[int, ...]
-
-    def stated(self) -> dict[str, object]:
-        """Return the entry of the field in the header of the results."""
-        one = self.variable
-        about = {"name": one.name, "dtype": self.type, "shape": self.shape, "dims": one.dims, "unit": one.units}
-        return {**about, "long_name": one.long_name, "matlab": _MATLAB[self.type[1:]]}
+def _entry(variable: Variable, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Return the entry of a field in the header of the results; `shape` is without the frame dimension."""
+    dtype = np.dtype(kind).newbyteorder("<").str
+    about = {"name": variable.name, "dtype": dtype, "shape": shape, "dims": variable.dims, "unit": variable.units}
+    return {**about, "long_name": variable.long_name, "matlab": _MATLAB[dtype[1:]]}
 
 
 class RecordLayout:
@@ -62,14 +55,12 @@ class RecordLayout:
 
     def __init__(self, points: int) -> None:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
-        fields = [_Field(one, np.dtype(one.kind).newbyteorder("<").str, ()) for one in _OWN]
-        for name in RESULTS:
-            variable = _VARIABLES[name]
+        self.fields = [_entry(one, one.kind, ()) for one in _OWN]
+        for variable in (_VARIABLES[name] for name in RESULTS):
             # The tracker computes in single precision.
-            kind = "<f4" if variable.kind.startswith("f") else np.dtype(variable.kind).newbyteorder("<").str
-            fields.append(_Field(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
-        self.dtype = np.dtype([(one.variable.name, one.type, one.shape) for one in fields])
-        self.fields = [one.stated() for one in fields]
+            kind = "f4" if variable.kind.startswith("f") else variable.kind
+            self.fields.append(_entry(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
+        self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])
 
     def fill(self, records: Mapping[str, Array], place: int, results: Mapping[str, Any]) -> None:
         """Store the results of a frame in the record number `place`; `records` holds the fields by name."""

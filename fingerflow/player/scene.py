@@ -5,32 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.bundle import Bundle
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_file import SceneError, read_scene
+from fingerflow.schema.views import View
 from fingerflow.tracker.stream import TrackerSettings
-
-
-class ViewRange(NamedTuple):
-    """Rectangle of pixels, given by half-open ranges."""
-
-    rows: tuple[int, int]
-    columns: tuple[int, int]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Return (height, width) px."""
-        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
-
-    def crop(self, frame: Array) -> Array:
-        """Return the view's part of a frame (H, W), without a copy."""
-        return frame[self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
 
 
 @dataclass(frozen=True)
@@ -44,8 +29,8 @@ class StreamScene:
     [tracking] and [fields] that the scene file states, for comparison with the recipe.
     """
 
-    contact: ViewRange
-    topography: ViewRange
+    contact: View
+    topography: View
     mm_per_px: float
     topography_to_contact: Array
     threshold: float | str = "reference_frame"
@@ -56,7 +41,7 @@ class StreamScene:
     first_frame: int = 0
     last_frame: int | None = None
     output: Path | None = None
-    region: ViewRange | None = None
+    region: View | None = None
     drawn: Mapping[str, Any] | None = None
     rekey_share: float | None = None
     rekey_frames: int | None = None
@@ -76,7 +61,7 @@ def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
         for row, first, end in region_runs(scene.drawn, *region.shape):
             region[row, first:end] = True
     else:
-        (scene.region or ViewRange((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
+        (scene.region or View((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
     return TrackerSettings(
         points=bundle.points,
         bit_depth=bundle.bit_depth,
@@ -109,8 +94,8 @@ def load_scene(path: Path) -> StreamScene:
     _check_regions(path, views)
     background = found["background"] or {"frames": None, "dark": None}
     return StreamScene(
-        contact=_rectangle(views["contact"]),
-        topography=_rectangle(views["topography"]),
+        contact=View(views["contact"]["rows"], views["contact"]["columns"]),
+        topography=View(views["topography"]["rows"], views["topography"]["columns"]),
         mm_per_px=found["calibration"]["mm_per_px"],
         topography_to_contact=np.array(found["calibration"]["topography_to_contact"]),
         threshold=found["contact"]["threshold"],
@@ -121,7 +106,7 @@ def load_scene(path: Path) -> StreamScene:
         first_frame=recording["first_frame"],
         last_frame=recording["last_frame"],
         output=stream["output"],
-        region=None if stream["region"] is None else ViewRange(**stream["region"]),
+        region=None if stream["region"] is None else View(**stream["region"]),
         drawn=views["topography"].get("region"),
         rekey_share=stream["rekey_share"],
         rekey_frames=stream["rekey_frames"],
@@ -133,10 +118,6 @@ def load_scene(path: Path) -> StreamScene:
             if f"{table}.{key}" in checked.given
         },
     )
-
-
-def _rectangle(view: Mapping[str, Any]) -> ViewRange:
-    return ViewRange(view["rows"], view["columns"])
 
 
 def _check_regions(path: Path, views: Mapping[str, Any]) -> None:

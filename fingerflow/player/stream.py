@@ -8,23 +8,22 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
-from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.bundle import Bundle
+from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
-from fingerflow.player.live import Expected, LiveData, LiveForces, LiveViews
+from fingerflow.player.live import LiveData, LiveForces, LiveViews
 from fingerflow.player.page import serve_page
+from fingerflow.player.played import Played
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.scene import StreamScene
-from fingerflow.player.settings import Settings
-from fingerflow.player.sources.closing import close_within
-from fingerflow.player.sources.source import OpenSource, Source
+from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_quality import USABLE
@@ -44,10 +43,33 @@ _SENTENCES = {  # for the log, by the names of the tracker's events
 _RECORDS_WAITING = 512  # records of more than a second, the time that a slow disk may take to sync
 
 
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a run of a stream.
+
+    Attributes:
+        every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
+        queue: largest number of waiting frames; 1 with the policy `latest`.
+        rate: Hz at which a recording is played, None for as fast as possible.
+        frames: number of frames after which the stream ends, None for the source's end.
+        give_up: s without a frame after which the stream ends with an error.
+        parallel: number of frames that are computed in parallel.
+        page: host and port of the live page, None for none; port 0 takes a free one.
+    """
+
+    every: bool = True
+    queue: int = 32
+    rate: float | None = None
+    frames: int | None = None
+    give_up: float = 30.0
+    parallel: int = 1
+    page: tuple[str, int] | None = None
+
+
 class Player:
     """Player of one stream from source to results; `run` returns when it has ended.
 
-    Raises PlayerError for every error that the user can correct; the results until then are complete.
+    Raises FingerflowError for every error that the user can correct; the results until then are complete.
     """
 
     def __init__(
@@ -55,20 +77,17 @@ class Player:
         tracker: StreamTracker,
         computed_by: str,
         bundle: Bundle,
-        scene: StreamScene,
+        played: Played,
         source: Source,
-        open_source: OpenSource,
         sink: Sink,
         layout: RecordLayout,
         settings: Settings,
-        source_name: str = "source",
-        expected: Expected | None = None,
         forces: LiveForces | None = None,
     ) -> None:
-        self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
-        self.computed_by = computed_by
+        self.bundle, self.scene, self.settings = bundle, played.scene, settings
+        self.computed_by, self.source_name = computed_by, played.name
         self._tracker, self._sink, self._layout = tracker, sink, layout
-        self._source, self._open_source = source, open_source
+        self._source, self._open_source, self._first_number = source, played.open_source, played.first
         # One slot is being filled, some computed, one is deferred, one measured, one drawn on the page; the others
         # wait. Their number is the bound.
         slots = [Slot(bundle) for _ in range(settings.queue + 4 + tracker.lag)]
@@ -84,7 +103,7 @@ class Player:
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
-        self.live = LiveData(bundle, expected, forces)
+        self.live = LiveData(bundle, played.expected, forces)
         self._state, self._said = "waiting", ""  # for the page
         self._stop = threading.Event()
         self._finished = threading.Event()
@@ -95,7 +114,8 @@ class Player:
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # a frame is queued for the page
-        self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
+        areas = abs(np.linalg.det(self.scene.topography_to_contact[:, :2]))  # px² of the contact view in one px²
+        self._topography_mm_per_px = self.scene.mm_per_px * math.sqrt(areas)
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -131,7 +151,7 @@ class Player:
                 close_within(_HANGING, self._source)
             try:
                 self._sink.close()
-            except PlayerError as error:
+            except FingerflowError as error:
                 self._failure = self._failure or error
             if not self.processed:
                 self._sink.discard()
@@ -149,10 +169,6 @@ class Player:
     def stop(self) -> None:
         """End the stream cleanly: frames that have arrived are still processed."""
         self._stop.set()
-
-    def points(self) -> dict[str, int]:
-        """Return the number of points tracked in the last frame and the number seeded at the last restart."""
-        return {"tracked": self.tracked, "found": self._tracker.found}
 
     def summary(self) -> dict[str, Any]:
         """Return counts, duration in s, rate and latencies until now."""
@@ -186,7 +202,8 @@ class Player:
             "source": self.source_name,
             "rate": None if math.isnan(self.rate) else self.rate,
             "recent_ms": self.recent,
-            **self.points(),
+            "tracked": self.tracked,
+            "found": self._tracker.found,
             **self.summary(),
         }
 
@@ -213,7 +230,7 @@ class Player:
             if silent > _STALL_WARNING and not stalled:
                 self.stalls += 1
                 log.warning("%s: no frame for %.0f s", self.source_name, silent)
-                self._sink.event("stall", self.settings.first + self.frames_in)
+                self._sink.event("stall", self._first_number + self.frames_in)
             stalled = silent > _STALL_WARNING
             if silent > self.settings.give_up:
                 trouble = f" (last error: {self._last_trouble})" if self._last_trouble else ""
@@ -245,9 +262,9 @@ class Player:
             while not self._stop.is_set() and self.frames_in != self.settings.frames:
                 self._waiting_since = self._waiting_since or time.perf_counter()
                 try:
-                    source = source or self._open_source(self.settings.first + self.frames_in)
+                    source = source or self._open_source(self._first_number + self.frames_in)
                     frame = source.read()
-                except PlayerError:
+                except FingerflowError:
                     raise
                 except Exception as error:
                     self._lost(source, error, attempt)
@@ -275,7 +292,7 @@ class Player:
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
         log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
-        self._sink.event("reconnect", self.settings.first + self.frames_in, error=self._last_trouble)
+        self._sink.event("reconnect", self._first_number + self.frames_in, error=self._last_trouble)
         if source is not None:
             close_within(_HANGING, source)
         self._stop.wait(delay)
@@ -287,7 +304,7 @@ class Player:
             slot = self._free.get()
         if slot is None:  # the stream has failed
             return
-        slot.number, slot.arrival = self.settings.first + self.frames_in, arrival
+        slot.number, slot.arrival = self._first_number + self.frames_in, arrival
         slot.fill(frame, self.scene, self.bundle, self.source_name)
         self._tracker.inspect(slot)
         self.frames_in += 1

@@ -18,16 +18,14 @@ import torch
 
 from fingerflow.engines import choice, providers
 from fingerflow.engines import engine as arrays
+from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
-from fingerflow.engines.names import GRAPHS
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
-from fingerflow.export import recipe
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.bundle import Bundle, load_bundle
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
 Array = np.ndarray[Any, Any]
@@ -102,10 +100,6 @@ def same_found(ours: Found, theirs: Found, points: Array, rtol: float = 1e-3, px
     same(ours.error[tracked], theirs.error[tracked], 1e-4, rtol)
     same(ours.estimate[tracked], theirs.estimate[tracked], px)
     assert np.isnan(ours.points[:, np.isnan(points[:, 0])]).all()
-
-
-def test_a_bundle_has_the_graphs_of_the_engine() -> None:
-    assert recipe.GRAPHS == GRAPHS
 
 
 @pytest.mark.parametrize("threshold", [0.27, np.nan])
@@ -440,7 +434,7 @@ from pathlib import Path
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.sessions import GraphSession
-from fingerflow.player.bundle import load_bundle
+from fingerflow.engines.bundle import load_bundle
 bundle = load_bundle(Path(sys.argv[1]))
 check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu"), bundle.expected)
 """

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from bench.bare_environment import ONNX, make_environment, variables
-from fingerflow import open_recording, open_stream
-from tests.fuzz.samples import samples
+from fingerflow import open_stream
 
 pytestmark = pytest.mark.long
 
@@ -97,19 +96,6 @@ except FingerflowError as error:
 loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}
 assert all(file.is_relative_to(Path.cwd() / "fingerflow") for file in loaded), loaded
 """
-
-
-@pytest.mark.parametrize("kind", ["cine", "mraw", "npy"])
-def test_recordings_are_read(kind: str, lab: LabPC, tmp_path: Path) -> None:
-    (tmp_path / "made").mkdir()
-    sample = samples(kind, tmp_path / "made")[0]
-    for name, data in sample.files.items():
-        (tmp_path / name).write_bytes(data)
-    code = "import sys, numpy, fingerflow; numpy.save(sys.argv[2], fingerflow.open_recording(sys.argv[1]).read())"
-    ended = lab.run("-c", code, str(tmp_path / sample.opened), str(tmp_path / "read.npy"))
-    assert ended.returncode == 0, ended.stderr
-    with open_recording(tmp_path / sample.opened) as recording:
-        np.testing.assert_array_equal(np.load(tmp_path / "read.npy"), recording.read())
 
 
 @pytest.mark.parametrize("name", ["process", "open_forces"])

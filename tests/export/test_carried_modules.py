@@ -24,7 +24,7 @@ import numpy as np
 
 absent = {name: None for name in ("torch", "scipy", "h5py", "cv2", *sys.argv[3:])}
 sys.modules.update(absent)
-from fingerflow.errors import PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.player.sources import open_source
 
 try:
@@ -33,7 +33,7 @@ try:
     while (frame := source.read()) is not None:
         frames.append(frame)
     source.close()
-except PlayerError as error:
+except FingerflowError as error:
     sys.exit(f"said: {error}")
 np.save(sys.argv[2], np.array(frames))
 loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}
@@ -48,20 +48,26 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _play(bundle: Path, file: Path, table: Path, *absent: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", _IN_A_BUNDLE, str(file), str(table), *absent]
+def _play(bundle: Path, file: Path, *absent: str) -> subprocess.CompletedProcess[str]:
+    """Play a recording as the bundle does; its frames are saved as played.npy beside it."""
+    command = [sys.executable, "-c", _IN_A_BUNDLE, str(file), str(file.with_name("played.npy")), *absent]
     return subprocess.run(command, cwd=bundle, capture_output=True, text=True)
+
+
+def _sample(kind: str, folder: Path, chosen: int = 0) -> Path:
+    """Write a sample of a format; return the file to open."""
+    (folder / "made").mkdir()
+    sample = samples(kind, folder / "made")[chosen]
+    for name, data in sample.files.items():
+        (folder / name).write_bytes(data)
+    return folder / sample.opened
 
 
 @pytest.mark.parametrize(("kind", "chosen"), [("cine", 0), ("cine", 1), ("mraw", 0), ("npy", 1), ("tiff", 0)])
 def test_a_bundle_reads_what_the_package_reads(kind: str, chosen: int, bundle: Path, tmp_path: Path) -> None:
     """From the second frame on, bit for bit."""
-    (tmp_path / "made").mkdir()
-    sample = samples(kind, tmp_path / "made")[chosen]
-    for name, data in sample.files.items():
-        (tmp_path / name).write_bytes(data)
-    file = tmp_path / sample.opened
-    ended = _play(bundle, file, tmp_path / "played.npy")
+    file = _sample(kind, tmp_path, chosen)
+    ended = _play(bundle, file)
     assert ended.returncode == 0, ended.stderr
     with open_recording(file) as recording:
         expected = recording.read()[1:]
@@ -72,16 +78,13 @@ def test_a_bundle_reads_what_the_package_reads(kind: str, chosen: int, bundle: P
 
 
 def test_a_library_that_is_not_there_is_named(bundle: Path, tmp_path: Path) -> None:
-    (tmp_path / "made").mkdir()
-    sample = samples("tiff", tmp_path / "made")[0]
-    (tmp_path / "a.tif").write_bytes(next(iter(sample.files.values())))
-    ended = _play(bundle, tmp_path / "a.tif", tmp_path / "played.npy", "tifffile")
+    ended = _play(bundle, _sample("tiff", tmp_path), "tifffile")
     assert "its format needs the library tifffile: `pip install tifffile`" in ended.stderr
 
 
 def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
     (tmp_path / "a.cine").write_bytes(b"CI" + bytes(20))
-    ended = _play(bundle, tmp_path / "a.cine", tmp_path / "played.npy")
+    ended = _play(bundle, tmp_path / "a.cine")
     assert ended.stderr.startswith("said: ")
     assert "a.cine: not a Phantom recording" in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -89,14 +92,14 @@ def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
 
 def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
     """A stream would try again for half a minute."""
-    (tmp_path / "made").mkdir()
-    data = bytearray(next(iter(samples("cine", tmp_path / "made")[0].files.values())))
+    file = _sample("cine", tmp_path)
+    data = bytearray(file.read_bytes())
     (table,) = struct.unpack_from("<I", data, 32)
     (third,) = struct.unpack_from("<q", data, table + 2 * 8)
     (annotation,) = struct.unpack_from("<I", data, third)
     struct.pack_into("<I", data, third + annotation - 4, 5)
-    (tmp_path / "a.cine").write_bytes(data)
-    ended = _play(bundle, tmp_path / "a.cine", tmp_path / "played.npy")
+    file.write_bytes(data)
+    ended = _play(bundle, file)
     assert ended.stderr.startswith("said: ")
     assert "frame 2 has 5 bytes instead of 768" in ended.stderr
 
@@ -113,14 +116,11 @@ def test_files_are_carried_as_they_are(bundle: Path) -> None:
 
 
 def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
-    carried = carried_modules.carried()
-    files = [file for room in carried_modules.WHOLE for file in (carried_modules.PACKAGE / room).rglob("*.py")]
-    left_out = {str(file.relative_to(carried_modules.PACKAGE)) for file in files if file not in carried.values()}
-    assert left_out <= {"engines/torch.py"}, f"their imports need more than {sorted(carried_modules.ON_THE_LAB_PC)}"
-    of_package = {name.split(".")[1] for name in carried if "." in name}
-    assert of_package <= {"engines", "errors", "kernels", "player", "recordings", "results", "schema", "tracker"}
-    assert carried_modules.needed_to_load("fingerflow.player.cli") <= {"numpy", "onnxruntime"}
-    assert "torch" in carried_modules.needed_to_load("fingerflow.export.build")
+    package, carried = carried_modules.PACKAGE, carried_modules.carried()
+    files = [file for room in ("player", "engines", "tracker", "schema") for file in (package / room).rglob("*.py")]
+    left_out = {str(file.relative_to(package)) for file in files if file not in carried.values()}
+    assert left_out == {"engines/torch.py"}, f"they need more to load than {carried_modules.ON_THE_LAB_PC}"
+    assert "fingerflow.kernels.tensors" not in carried
 
 
 def test_every_carried_module_finds_what_it_loads(bundle: Path) -> None:

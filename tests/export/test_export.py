@@ -158,6 +158,6 @@ def test_float64_reference_is_another_precision() -> None:
     recipe = load_recipe(Path(__file__).parents[2] / "export" / "fast.toml")
     fields = build(recipe, torch.float64)["fields"]
     case = completed(recipe, cases(recipe, 1)[0])
-    given = (one.double() if one.is_floating_point() else one for one in feed("fields", fields, case))
-    results = fields.module(*given)
-    assert {one.dtype for one in results if one.is_floating_point()} == {torch.float64}
+    given = feed("fields", fields, case)
+    results = fields.run({name: one.double() if one.is_floating_point() else one for name, one in given.items()})
+    assert {one.dtype for one in results.values() if one.is_floating_point()} == {torch.float64}

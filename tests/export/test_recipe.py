@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fingerflow.engines.names import GRAPHS
+from fingerflow.engines.bundle import GRAPHS
 from fingerflow.errors import FingerflowError
 from fingerflow.export.recipe import load_recipe
 

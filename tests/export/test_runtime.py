@@ -26,8 +26,8 @@ class Scaled(nn.Module):
         self.factor = factor
         self.register_buffer("offset", torch.tensor([0.5]))
 
-    def forward(self, frames: Tensor, pair: Pair, topography_to_contact: Tensor, *, deep: bool = False) -> Pair:
-        second = None if pair.second is None else pair.second + topography_to_contact[0, 2]
+    def forward(self, frames: Tensor, pair: Pair, shared: Tensor, *, deep: bool = False) -> Pair:
+        second = None if pair.second is None else pair.second + shared[:, 0, 2, None]
         return Pair((frames.float() * self.factor + pair.first) * (2 if deep else 1) + self.offset, second)
 
     def largest(self, frames: Tensor) -> Tensor:
@@ -65,7 +65,7 @@ def test_a_module_gives_the_same(runtime: OnnxRuntime, second: bool) -> None:
         frames = torch.randint(0, 255, (batch, 4, 6), generator=generator, dtype=torch.uint8)
         other = torch.rand(batch, 3, generator=generator) if second else None
         pair = Pair(torch.rand(1, 4, 6, generator=generator), other)
-        matrix = torch.rand(2, 3, generator=generator)
+        matrix = torch.rand(1, 2, 3, generator=generator)
         for deep in (False, True):
             expected, found = (one(frames, pair, matrix, deep=deep) for one in (module, executed))
             assert isinstance(found, Pair)
@@ -98,7 +98,7 @@ def test_what_takes_long_is_said_once(runtime: OnnxRuntime, monkeypatch: pytest.
     monkeypatch.setattr("fingerflow.export.runtime._PATIENCE", 1e-9)
     executed = runtime(Scaled(3.0))
     with pytest.warns(UserWarning, match="1 graphs have been exported") as said:
-        executed(torch.ones(1, 4, 6), Pair(torch.ones(1, 4, 6), None), torch.eye(2, 3))
+        executed(torch.ones(1, 4, 6), Pair(torch.ones(1, 4, 6), None), torch.eye(2, 3)[None])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         executed.largest(torch.ones(1, 4, 6))
@@ -108,7 +108,7 @@ def test_what_takes_long_is_said_once(runtime: OnnxRuntime, monkeypatch: pytest.
 def test_graphs_are_kept_for_the_next_time(runtime: OnnxRuntime) -> None:
     """By settings, buffers and shapes."""
     frames = torch.ones(1, 4, 6)
-    pair, matrix = Pair(frames, None), torch.eye(2, 3)
+    pair, matrix = Pair(frames, None), torch.eye(2, 3)[None]
     runtime(Scaled(3.0))(frames, pair, matrix)
     again = OnnxRuntime(1, runtime.folder)
     torch.testing.assert_close(again(Scaled(3.0))(frames, pair, matrix).first, frames * 4.5)

@@ -188,7 +188,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
     "calibration": _called("fingerflow.calibration:Calibration.from_toml"),
     "scene": _called("fingerflow.schema.scene:load_scene"),
-    "bundle": _called("fingerflow.player.bundle:load_bundle"),
+    "bundle": _called("fingerflow.engines.bundle:load_bundle"),
     "result": _called("fingerflow.results.result:load_result"),
     "stream": lambda path: _streamed(play(path)),
     "streamed": _streamed,

@@ -122,23 +122,3 @@ def test_views(torch_threads: Callable[[int], None]) -> None:
         torch_threads(threads)
         for one, other in zip(views.found("green_lagrange"), whole, strict=True):
             assert np.array_equal(one, other, equal_nan=True)
-
-
-def test_refuses_what_does_not_fit() -> None:
-    case = Case(9, noisy=True, entered=True)
-    assert case.covariance is not None
-    assert case.entered is not None
-    for name, value, said in (
-        ("displacement", case.displacement.astype(np.float64), "displacement is float64"),
-        ("reference", case.reference[:, :8], "reference is"),
-        ("covariance", case.covariance[:2], "covariance is"),
-        ("ellipse", case.ellipse._replace(angle=case.ellipse.center), "angle is"),
-        ("entered", case.entered._replace(among=case.entered.among[:, :2]), "among is"),
-        ("entered", case.entered._replace(covariance=None), "without covariance"),
-    ):
-        other = Case(9, noisy=True, entered=True)
-        setattr(other, name, value)
-        with pytest.raises(ValueError, match=said):
-            other.found("green_lagrange")
-    with pytest.raises(ValueError, match="'cauchy' is not known"):
-        case.found("cauchy")

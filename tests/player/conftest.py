@@ -12,9 +12,15 @@ import pytest
 from tiny_bundle import write_bundle, write_scene
 
 from fingerflow import player
+from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
-from fingerflow.player.bundle import Bundle
+
+
+def _together(bundle: Bundle, *_: Any) -> NativeEngine:
+    engine = NativeEngine(bundle.engine_settings)
+    engine.name = "onnx"
+    return engine
 
 
 class Ended(NamedTuple):
@@ -62,6 +68,16 @@ class Stream:
 
         return self.camera(lambda: grab)
 
+    def parallel(self, frames: int | None) -> tuple[str, ...]:
+        """The arguments for so many frames beside each other, as ONNX Runtime computes them; none for None.
+
+        The compiled library stands in its place: what a frame gives counts two frames later, or more.
+        """
+        if frames is None:
+            return ()
+        self._monkeypatch.setattr("fingerflow.player.cli.engine_of_stream", _together)
+        return "--parallel-frames", str(frames)
+
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"
         given = [str(self.bundle), "--output", str(output), "--threads", "1", *arguments]
@@ -69,6 +85,13 @@ class Stream:
         said = self._capsys.readouterr()
         results = player.read_results(output) if output.exists() else None
         return Ended(code, json.loads(said.out) if said.out else {}, said.err + self._caplog.text, results)  # type: ignore[arg-type]
+
+    def refused(self, *arguments: str) -> str:
+        """What is said of a stream that ends with an error of the user and leaves no results."""
+        ended = self.run(*arguments)
+        assert ended.code == 2
+        assert ended.results is None
+        return ended.said
 
 
 @pytest.fixture
@@ -81,19 +104,3 @@ def stream(
     if not is_present():
         pytest.skip("the compiled library was not built or is turned off: graphs of the tiny bundle are none")
     return Stream(tmp_path, capsys, caplog, monkeypatch)
-
-
-class Together(NativeEngine):
-    """The compiled library in the place of ONNX Runtime, which may compute several frames beside each other."""
-
-    name = described = "onnx"
-
-
-@pytest.fixture
-def together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Streams of this test take `--parallel-frames`; what a frame gives counts two frames later, or more."""
-
-    def engine(bundle: Bundle, name: str | None, *_: Any) -> Together:
-        return Together(bundle.engine_settings)
-
-    monkeypatch.setattr("fingerflow.player.cli.engine_of_stream", engine)

@@ -58,24 +58,6 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "file"
 
 
-def test_what_a_full_disk_refuses_is_written_when_it_has_room(path: Path, disk: Disk) -> None:
-    """In the middle of what is written; nobody waits, nothing is lost or written twice, and how long is said once."""
-    file = PatientFile(path)
-    disk.left = 7
-    file.write(b"0123456789")
-    assert file.flush() is None
-    disk.now += 3
-    file.write(b"abc")
-    assert file.flush() is None
-    assert (disk.slept, len(file), path.read_bytes()) == (0, 6, b"0123456")
-    disk.left = 100
-    assert file.flush() is None, "a full disk is tried once a second"
-    disk.now += 2
-    assert file.flush() == (5.0, 6)
-    assert file.flush() is None
-    assert path.read_bytes() == b"0123456789abc"
-
-
 def test_a_disk_that_stays_full_is_an_error_after_half_a_minute(path: Path, disk: Disk) -> None:
     file = PatientFile(path)
     disk.left = 0

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,15 +62,10 @@ def test_values_are_those_of_the_records(played: Path) -> None:
     assert np.isnan(result["position"].values[6:, 7:]).all()
 
 
-def test_a_stream_without_frames_leaves_nothing_to_open(stream: Stream) -> None:
-    assert stream.run(*stream.frames([])).code == 0
+@pytest.mark.parametrize("read", [fingerflow.open_stream, fingerflow.player.read_results])
+def test_no_folder_of_results_is_named(read: Any, tmp_path: Path) -> None:
     with pytest.raises(FingerflowError, match="is no results folder of a stream"):
-        fingerflow.open_stream(stream.folder / "results")
-
-
-def test_no_folder_of_results_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match="is no results folder of a stream"):
-        fingerflow.open_stream(tmp_path)
+        read(tmp_path)
 
 
 def test_report_and_tables(played: Path, tmp_path: Path) -> None:

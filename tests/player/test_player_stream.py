@@ -5,7 +5,6 @@ import os
 import signal
 import threading
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,7 @@ from fingerflow import player
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream as stream_module
-from fingerflow.player.handover import Channel
 from fingerflow.player.latency import Latencies
-from fingerflow.player.sources.synthetic import Synthetic, side_by_side
 from fingerflow.tracker.stream import StreamTracker, Work
 from fingerflow.tracker.upkeep import Upkeep
 
@@ -63,22 +60,16 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
     np.testing.assert_array_equal(played.results.records["real_contact_area"], areas)
 
 
-class Slow:
-    """An engine that takes its time."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-        compute = StreamTracker.compute
-
-        def slow(*arguments: Any) -> None:
-            time.sleep(seconds)
-            compute(*arguments)
-
-        monkeypatch.setattr(StreamTracker, "compute", slow)
+@pytest.fixture
+def slow_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame takes 4 ms longer."""
+    compute = StreamTracker.compute
+    monkeypatch.setattr(StreamTracker, "compute", lambda *given: (time.sleep(0.004), compute(*given)))
 
 
-def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("slow_engine")
+def test_the_policy_every_loses_nothing(stream: Stream) -> None:
     """A paced source that is twice as fast as the engine: it waits, and that is counted."""
-    Slow(monkeypatch, 0.004)
     ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--queue", "4")
     np.testing.assert_array_equal(ended.results.records["frame"], np.arange(120))
     assert ended.summary["dropped"] == 0
@@ -87,8 +78,8 @@ def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.Monk
     assert ended.results.records["latency"][-1] > 0.1
 
 
-def test_the_policy_latest_takes_the_newest_frame(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    Slow(monkeypatch, 0.004)
+@pytest.mark.usefixtures("slow_engine")
+def test_the_policy_latest_takes_the_newest_frame(stream: Stream) -> None:
     ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--policy", "latest")
     summary, numbers = ended.summary, ended.results.records["frame"]
     assert summary["frames_in"] == 120
@@ -110,22 +101,14 @@ def _frames() -> list[Any]:
     return [frame(found, elsewhere=elsewhere) for found, elsewhere in FOUND]
 
 
-@pytest.mark.parametrize(("parallel", "lag"), [(None, 1), ("1", 2), ("2", 2), ("3", 3)])
+@pytest.mark.parametrize(("parallel", "lag"), [(None, 1), (1, 2), (2, 2), (3, 3)])
 def test_points_are_keyed_anew_and_chosen_anew(
-    stream: Stream,
-    monkeypatch: pytest.MonkeyPatch,
-    request: pytest.FixtureRequest,
-    parallel: str | None,
-    lag: int,
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, lag: int
 ) -> None:
     """Every frame in its order with its own result; key frame and restart count from a frame known beforehand, by the
     compiled library the next one."""
     monkeypatch.setattr(Upkeep, "_RESTART", 0)
-    arguments: tuple[str, ...] = ()
-    if parallel is not None:
-        request.getfixturevalue("together")
-        arguments = ("--parallel-frames", parallel)
-    ended = stream.run(*stream.frames(_frames()), "--policy", "every", *arguments)
+    ended = stream.run(*stream.frames(_frames()), "--policy", "every", *stream.parallel(parallel))
     records, number = ended.results.records, np.arange(len(FOUND))
     np.testing.assert_array_equal(records["frame"], number)
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
@@ -146,15 +129,11 @@ def test_points_are_keyed_anew_and_chosen_anew(
 
 @pytest.mark.parametrize(
     ("parallel", "arguments"),
-    [(None, ("--rate", "1500")), ("1", ("--rate", "1500")), ("2", ()), ("2", ("--rate", "1500"))],
+    [(None, ("--rate", "1500")), (1, ("--rate", "1500")), (2, ()), (2, ("--rate", "1500"))],
     ids=str,
 )
 def test_results_do_not_depend_on_the_clock(
-    stream: Stream,
-    monkeypatch: pytest.MonkeyPatch,
-    request: pytest.FixtureRequest,
-    parallel: str | None,
-    arguments: tuple[str, ...],
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, arguments: tuple[str, ...]
 ) -> None:
     """Bit for bit the same, whatever the pace, the frames side by side and the time that each takes."""
     monkeypatch.setattr(Upkeep, "_RESTART", 10)
@@ -167,9 +146,7 @@ def test_results_do_not_depend_on_the_clock(
     frames = np.stack([frame(one[0], 40 * i % 3000, far, more, one[1]) for i, (one, far, more) in given])
     np.save(stream.folder / "frames.npy", frames)
     source = ("--source", str(stream.folder / "frames.npy"))
-    if parallel is not None:
-        request.getfixturevalue("together")
-        arguments = (*arguments, "--parallel-frames", parallel)
+    arguments = (*arguments, *stream.parallel(parallel))
     plain = stream.run(*source)
     assert {event["event"] for event in plain.results.events} >= {"restart", "key_frame", "threshold"}
     assert len(plain.results.events) > 6
@@ -190,7 +167,6 @@ def test_results_do_not_depend_on_the_clock(
     assert said[0] == said[1]
 
 
-@pytest.mark.usefixtures("together")
 def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame runs until two others do."""
     compute, started = StreamTracker.compute, threading.Barrier(3)
@@ -202,11 +178,10 @@ def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: p
 
     monkeypatch.setattr(StreamTracker, "compute", at_once)
     frames = [frame(contact_px=number) for number in range(9)]
-    ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "3")
+    ended = stream.run(*stream.frames(frames), "--policy", "every", *stream.parallel(3))
     np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(9) / 4)
 
 
-@pytest.mark.usefixtures("together")
 @pytest.mark.parametrize("failing", [0, 1, 2])
 def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
@@ -225,7 +200,7 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
 
     monkeypatch.setattr(StreamTracker, "compute", fail)
     with pytest.raises(RuntimeError, match="broken engine"):
-        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", "--parallel-frames", "3")
+        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", *stream.parallel(3))
     results = stream.folder / "results"
     assert results.is_dir() == (failing > 0)  # an empty folder is not left
     if failing:
@@ -242,20 +217,16 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
 
 
 @pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
-@pytest.mark.parametrize("lag", [1, 2])
-def test_a_threshold_that_is_not_given_is_measured(
-    stream: Stream, request: pytest.FixtureRequest, setting: str, lag: int
-) -> None:
+@pytest.mark.parametrize("parallel", [None, 1])
+def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str, parallel: int | None) -> None:
     """The threshold is measured in the first fourth frame with contact: 0.4 of the light, half of the intensity loss.
 
     It counts from that frame on, whether or not frames are computed beside it; darker frames keep it.
     """
-    if lag == 2:
-        request.getfixturevalue("together")
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
     levels = (200, 200, 40, 40, 40, 40, 40, 10, 130, 10)
     np.save(stream.folder / "frames.npy", np.stack([_darkened(level) for level in levels]))
-    ended = stream.run("--source", str(stream.folder / "frames.npy"))
+    ended = stream.run("--source", str(stream.folder / "frames.npy"), *stream.parallel(parallel))
     touching = np.array([level < 100 for level in levels]) & (np.arange(10) >= 4)
     np.testing.assert_array_equal(ended.results.records["real_contact_area"], DARKENED_MM2 * touching)
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
@@ -422,17 +393,6 @@ def test_frames_of_twelve_bits(stream: Stream, tmp_path: Path) -> None:
     assert stream.run("--source", "synthetic", "--frames", "5").code == 0
 
 
-def test_the_synthetic_finger_moves_smoothly_and_grows() -> None:
-    scene = side_by_side(64, 80)
-    source = Synthetic(scene, np.dtype(np.uint8), 8)
-    frames = [np.array(source.read(), dtype=float) for _ in range(2 * source.half_period)]
-    dark = [(scene.contact.crop(picture) < 130).sum() for picture in frames]
-    assert dark[0] == dark[2 * source.half_period - 2] > 0
-    assert dark[source.half_period - 1] > 2 * dark[0]
-    assert max(np.abs(after - before).mean() for before, after in pairwise(frames)) < 12
-    assert scene.topography.crop(frames[0]).std() > 10
-
-
 def test_latencies_are_kept_in_bins() -> None:
     latencies = Latencies()
     assert latencies.summary()["median"] is None
@@ -443,13 +403,3 @@ def test_latencies_are_kept_in_bins() -> None:
     assert latencies.quantile(0.99) == pytest.approx(0.0109, rel=0.011)
     latencies.add(100.0)
     assert latencies.summary()["worst"] == 1e5
-
-
-@pytest.mark.parametrize(("newest_first", "order"), [(False, [1, 2, 3]), (True, [3, 2, 1])])
-def test_a_closed_channel_still_gives_what_is_in_it(newest_first: bool, order: list[int]) -> None:
-    channel = Channel(3, [1, 2], newest_first)
-    assert channel.put(3)
-    channel.close()
-    assert not channel.put(4)
-    assert [channel.get() for _ in range(4)] == [*order, None]
-    assert channel.is_empty()

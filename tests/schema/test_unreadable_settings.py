@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from fingerflow.calibration import Calibration
+from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.player.bundle import load_bundle
 from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.scene import load_scene
 

@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.sources import video
+from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.sources.source import Asked, Source
+from fingerflow.player.sources.video import open_video
 
 
 class Reader(Protocol):
@@ -21,7 +21,7 @@ class Reader(Protocol):
         """Return whether the file is of its kind, by name or settings, without reading it."""
 
     def open_frames(self, asked: Asked) -> Source:
-        """Return the frames; raise PlayerError, or OSError, TypeError or ValueError with what is wrong in the file."""
+        """Return the frames; raise FingerflowError, or any other error with what is wrong in the file."""
 
 
 def readers() -> list[Reader]:
@@ -38,15 +38,15 @@ def kinds() -> str:
 def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
     """Return the frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are for raw files.
 
-    Raises PlayerError where there are no frames, or none that can be read.
+    Raises FingerflowError where there are no frames, or none that can be read.
     """
     asked, known = Asked(path, first, shape, dtype), readers()
     reader = next((one for one in known if one.reads(asked)), None)
     if reader is None and not path.is_file():
         raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")
     try:
-        return video.Video(path, first) if reader is None else reader.open_frames(asked)
-    except PlayerError:
+        return open_video(path, first) if reader is None else reader.open_frames(asked)
+    except FingerflowError:
         raise
     except Exception as error:  # libraries do not specify what they raise for a damaged file
         raise PlayerError(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 
 from fingerflow.engines.engine import Array
-from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.player.sources.source import Asked, Source
+from fingerflow.errors import PlayerError
+from fingerflow.player.sources.source import Asked, RecordedFrames, Source
 from fingerflow.recordings.frames.opening import open_recording
 from fingerflow.recordings.frames.recording import Recording
 
@@ -21,11 +22,9 @@ def reads(asked: Asked) -> bool:
 
 
 def open_frames(asked: Asked) -> Source:
-    """Return the frames; raise PlayerError with the reader's message, or with the name of a missing library."""
+    """Return the frames; raise FingerflowError with what is wrong, or with the name of a missing library."""
     try:
         recording = open_recording(asked.path)
-    except FingerflowError as error:
-        raise PlayerError(str(error)) from None
     except ImportError as error:
         raise PlayerError(
             f"{asked.path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as "
@@ -33,34 +32,16 @@ def open_frames(asked: Asked) -> Source:
         ) from None
     for sentence in recording.warnings:
         log.warning("%s: %s", asked.path, sentence)
-    return Recorded(recording, asked.first)
+    return RecordedFrames(_frames(recording, asked.first), recording.close)
 
 
-class Recorded:
-    """Frames of such a recording from number `first` on."""
+def _frames(recording: Recording, first: int) -> Iterator[Array]:
+    """Yield the frames from number `first` on. A damaged one is black, so that it is not usable, and is logged.
 
-    live = False
-
-    def __init__(self, recording: Recording, first: int) -> None:
-        self._recording, self._next = recording, first
-
-    def read(self) -> Array | None:
-        """Return the next frame; None at the end. A damaged frame is black, so that it is not usable, and is logged.
-
-        Raises PlayerError for a frame of another size than the first.
-        """
-        if self._next >= len(self._recording):
-            return None
-        try:
-            frame: Array = self._recording[self._next]
-        except FingerflowError as error:  # a second attempt would fail too
-            raise PlayerError(str(error)) from None
-        damage = self._recording.unreadable.get(self._next)
-        if damage:
-            log.warning("%s: frame %d %s", self._recording.path, self._next, damage)
-        self._next += 1
-        return frame
-
-    def close(self) -> None:
-        """Close the file."""
-        self._recording.close()
+    Raises FingerflowError for a frame of another size than the first.
+    """
+    for number in range(first, len(recording)):
+        frame = recording[number]
+        if damage := recording.unreadable.get(number):
+            log.warning("%s: frame %d %s", recording.path, number, damage)
+        yield frame

@@ -32,4 +32,4 @@ def open_frames(asked: Asked) -> Source:
             f"{asked.path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed: it has "
             f"{len(pixels)} pixels, fewer than a frame of {asked.shape[0]} x {asked.shape[1]}: correct it"
         )
-    return RecordedFrames(frames, asked.first)
+    return RecordedFrames(iter(frames[asked.first :]))

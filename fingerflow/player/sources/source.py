@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from fingerflow.engines.engine import Array
+from fingerflow.errors import first_line
+
+log = logging.getLogger("fingerflow.player")
 
 
 class Source(Protocol):
-    """Source of frames (H, W), None at the end. After any error other than PlayerError it is opened again."""
+    """Source of frames (H, W), None at the end. After any error other than FingerflowError it is opened again."""
 
     live: bool  # True if frames arrive whether or not a buffer is free
 
@@ -39,21 +44,29 @@ class Asked(NamedTuple):
 
 
 class RecordedFrames:
-    """Frames (N, H, W) of an array, read from number `first` on."""
+    """Source of the frames (H, W) that an iterator reads from a file; `close` closes the file."""
 
     live = False
 
-    def __init__(self, frames: Array, first: int) -> None:
-        self._frames = frames
-        self._next = first
+    def __init__(self, frames: Iterator[Array], close: Callable[[], None] = lambda: None) -> None:
+        self._frames, self.close = frames, close
 
     def read(self) -> Array | None:
         """Return the next frame; None at the end."""
-        if self._next >= len(self._frames):
-            return None
-        frame: Array = self._frames[self._next]
-        self._next += 1
-        return frame
+        return next(self._frames, None)
 
-    def close(self) -> None:
-        """Do nothing: a memory map is closed with its last reference."""
+
+def close_within(seconds: float, source: Source) -> None:
+    """Close a source; log a warning if that fails, and abandon it if it takes longer than `seconds`."""
+
+    def close() -> None:
+        try:
+            source.close()
+        except Exception as error:
+            log.warning("closing the source: %s", first_line(error))
+
+    closing = threading.Thread(target=close, name="close", daemon=True)
+    closing.start()
+    closing.join(seconds)
+    if closing.is_alive():
+        log.warning("closing the source takes more than %.0f s: it is left behind", seconds)

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import Array
-from fingerflow.player.scene import StreamScene, ViewRange
+from fingerflow.player.scene import StreamScene
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
+from fingerflow.schema.views import View
 
 
 def side_by_side(height: int, width: int) -> StreamScene:
     """Return the scene of the synthetic source: topography on the left, contact on the right, one scale."""
     return StreamScene(
-        contact=ViewRange((0, height), (width, 2 * width)),
-        topography=ViewRange((0, height), (0, width)),
+        contact=View((0, height), (width, 2 * width)),
+        topography=View((0, height), (0, width)),
         mm_per_px=0.025,
         topography_to_contact=np.array([[1.0, 0, 0], [0, 1, 0]]),
         threshold=0.35,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import Engine, EngineSettings
-from fingerflow.engines.torch import Modules, images_on
+from fingerflow.engines.torch import Modules, TorchEngine, images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import frame_asked
@@ -137,7 +137,9 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Open the recording of a scene and check that its views fit; engine and modules as for `engines.choice`.
+    """Open the recording of a scene and check that its views fit.
+
+    `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
 
     Raises FingerflowError for what does not fit; the message gives the value and the remedy.
     """
@@ -179,7 +181,8 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
     warnings += plausibility.of_frames(len(recording))
-    computing = engine_for(engine, _engine_settings(scene), chosen, modules)
+    of_engine = _engine_settings(scene)
+    computing = TorchEngine(of_engine, chosen, modules) if modules else engine_for(engine, of_engine, chosen)
     return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, computing)
 
 

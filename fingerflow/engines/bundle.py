@@ -2,57 +2,65 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from fingerflow.engines.bundle_settings import bundle_settings
 from fingerflow.engines.engine import EngineSettings
-from fingerflow.engines.names import GRAPHS
 from fingerflow.errors import PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 
+GraphName = Literal[
+    "light",
+    "contact",
+    "threshold",
+    "noise",
+    "detect",
+    "spline",
+    "prepare",
+    "renew",
+    "track",
+    "track_few",
+    "support",
+    "correct",
+    "outliers",
+    "search",
+    "windows",
+    "fields",
+    "fields_entered",
+    "fit",
+]
+#: Graphs of a bundle, in an order in which an engine can run them.
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 
-@dataclass(frozen=True)
+
+@dataclasses.dataclass(frozen=True)
 class Bundle:
-    """Deployment bundle whose files match their hashes; `expected` is used by `engines.check`."""
+    """Deployment bundle whose files match their hashes.
+
+    Attributes:
+        height, width, bit_depth: of a view: px, px, and bits of a pixel, 8 to 16.
+        points: largest number of points in a frame.
+        engine_settings: settings with which the graphs were exported.
+        expected: results of the built-in frame (`engines.check`).
+    """
 
     folder: Path
     recipe: Mapping[str, Any]
     version: str
     hashes: Mapping[str, str]
     files: Mapping[str, Path]
-    expected: Mapping[str, Any]  # results of the built-in frame (`engines.check`)
-
-    @property
-    def height(self) -> int:
-        """Return the height of a view in px."""
-        return int(self.recipe["views"]["height"])
-
-    @property
-    def width(self) -> int:
-        """Return the width of a view in px."""
-        return int(self.recipe["views"]["width"])
-
-    @property
-    def bit_depth(self) -> int:
-        """Return the bits of a pixel, 8 to 16."""
-        return int(self.recipe["views"]["bit_depth"])
-
-    @property
-    def points(self) -> int:
-        """Return the largest number of points in a frame."""
-        return int(self.recipe["tracking"]["points"])
-
-    @property
-    def engine_settings(self) -> EngineSettings:
-        """Return the settings with which its graphs were exported."""
-        return bundle_settings(self.recipe)
+    expected: Mapping[str, Any]
+    height: int
+    width: int
+    bit_depth: int
+    points: int
+    engine_settings: EngineSettings
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -79,16 +87,18 @@ def load_bundle(folder: Path) -> Bundle:
             "or export it again"
         )
     try:
-        graphs = facts["graphs"]
+        graphs, recipe = facts["graphs"], facts["recipe"]
         bundle = Bundle(
             folder=folder,
-            recipe=facts["recipe"],
+            recipe=recipe,
             version=str(facts["fingerflow"]),
             hashes={name: graphs[name]["sha256"] for name in GRAPHS},
             files={name: folder / graphs[name]["file"] for name in GRAPHS},
             expected=facts["expected"],
+            **{name: int(recipe["views"][name]) for name in ("height", "width", "bit_depth")},
+            points=int(recipe["tracking"]["points"]),
+            engine_settings=bundle_settings(recipe),
         )
-        _ = bundle.height, bundle.width, bundle.dtype, bundle.points, bundle.engine_settings
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
@@ -104,3 +114,10 @@ def load_bundle(folder: Path) -> Bundle:
                 f"damaged or belongs to another bundle; {again}"
             )
     return bundle
+
+
+def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
+    """Return the engine settings of a bundle from its recipe (all keys, as in bundle.json); strain is the default."""
+    stated = {**recipe["contact"], **recipe["tracking"], **recipe["fields"]}
+    names = {one.name for one in dataclasses.fields(EngineSettings)} - {"strain"}
+    return EngineSettings(**{name: stated[name] for name in names})
