@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from fingerflow.pipeline.stages import all_stages
 from fingerflow.schema.equations import EQUATIONS
-from fingerflow.schema.variables import STREAM, Variable
+from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
@@ -43,24 +43,20 @@ class DictionaryEntry(NamedTuple):
 def dictionary() -> tuple[DictionaryEntry, ...]:
     """Return all variables, stage by stage in the order in which these run."""
     return tuple(
-        _entry(variable, stage, needs)
+        DictionaryEntry(
+            variable.name,
+            variable.units,
+            variable.dims,
+            stage,
+            variable.long_name,
+            EQUATIONS[variable.name],
+            variable.unasked,
+            tuple(dict.fromkeys((*needs, *variable.needs))),
+            variable.flags,
+        )
         for stage, given, needs in (
             *((stage.name, stage.gives, stage.needs) for stage in all_stages()),
             ("stream", STREAM, ()),
         )
         for variable in given
-    )
-
-
-def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> DictionaryEntry:
-    return DictionaryEntry(
-        variable.name,
-        variable.units,
-        variable.dims,
-        stage,
-        variable.long_name,
-        EQUATIONS[variable.name],
-        variable.unasked,
-        tuple(dict.fromkeys((*needs, *variable.needs))),
-        variable.flags,
     )
