@@ -15,7 +15,7 @@ from bench.chromium import launch
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import PartialSlip, write_recording
 from fingerflow.synthetic.marker_gel import write_gel_recording
-from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
+from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials
 
 #: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
 #: before the others that play it, which would wait for it.
@@ -102,6 +102,12 @@ def slip_trials(shared_folder: Path) -> Path:
             scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
 
     return _made_once(shared_folder / "slip", write)
+
+
+@pytest.fixture(scope="session")
+def tiny_press(shared_folder: Path) -> Path:
+    """The folder of `TINY_PRESS` of tests/small_trials.py, not to be written to."""
+    return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
 
 
 @pytest.fixture(scope="session")

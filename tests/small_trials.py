@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from fingerflow.engines.bundle_settings import bundle_settings
 from fingerflow.engines.check import built_in, numbers_of
@@ -104,6 +105,11 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 def recipe_of_trials() -> Recipe:
     """What plays these trials."""
     return Recipe(views=ViewRecipe(height=HEIGHT, width=WIDTH), **tomllib.loads(_SHARED))
+
+
+def warnings_of(result: xr.Dataset) -> str:
+    """What a result warns of, a line each."""
+    return "\n".join(json.loads(result.attrs["warnings"]))
 
 
 def beside(bundle: Path) -> tuple[Path, Path]:

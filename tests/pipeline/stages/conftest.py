@@ -9,17 +9,13 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.schema.scene import Scene
-from fingerflow.synthetic import write_recording
-from tests.small_trials import TINY_PRESS
 
 Change = Callable[..., Scene]
 
 
 @pytest.fixture(scope="session")
-def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("small") / "press"
-    write_recording(folder, TINY_PRESS)
-    return folder
+def press(tiny_press: Path) -> Path:
+    return tiny_press
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +28,12 @@ def changed(press: Path, tmp_path: Path) -> Change:
     """The scene with other texts and other arrays: ``changed({"points = 700": "points = 20"}, frames=array)``."""
 
     def change(
-        replaced: dict[str, str] | None = None, /, *, forces: bool = True, **arrays: np.ndarray[Any, Any]
+        replaced: dict[str, str] | None = None,
+        /,
+        *,
+        forces: bool = True,
+        stream: bool = True,
+        **arrays: np.ndarray[Any, Any],
     ) -> Scene:
         text = (press / "scene.toml").read_text(encoding="utf-8")
         for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
@@ -43,6 +44,8 @@ def changed(press: Path, tmp_path: Path) -> Change:
         if not forces:
             begin, end = text.index("[forces]"), text.index("[calibration]")
             text = text[:begin] + text[end:]
+        if not stream:
+            text = text[: text.index("[stream]")]
         for old, new in (replaced or {}).items():
             assert old in text, old
             text = text.replace(old, new)

@@ -1,6 +1,5 @@
 """Frames that cannot be change no number of the others: a press and a slide, each kind of bad frame at ten places."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, LOADING
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
-from tests.small_trials import SPOILED, dim_contact
+from tests.small_trials import SPOILED, dim_contact, warnings_of
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
@@ -59,10 +58,6 @@ def with_frames(clean: Clean, frames: Frame, folder: Path) -> Scene:
 def status_of(result: xr.Dataset) -> dict[int, str]:
     values = result["frame_status"].values
     return {int(k): FRAME_STATUS[values[k]] for k in np.flatnonzero(values)}
-
-
-def warnings_of(result: xr.Dataset) -> str:
-    return "\n".join(json.loads(result.attrs["warnings"]))
 
 
 def test_a_clean_recording_has_no_bad_frame(clean: Clean) -> None:

@@ -15,8 +15,7 @@ from fingerflow.pipeline.stages.tracking.new_skin import NewSkin
 from fingerflow.results.result import open_result
 from fingerflow.results.store import FileStore, MemoryStore
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
-from fingerflow.synthetic import write_recording
-from tests.pipeline.stages.rolling import Rolling
+from tests.pipeline.stages.rolling import Rolling, write_rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
 NOT_YET = TRACK_STATUS.index("not_chosen_yet")
@@ -24,13 +23,7 @@ NOT_YET = TRACK_STATUS.index("not_chosen_yet")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without the region of a stream, which holds all skin that will touch: `process` looks for itself."""
-    path: Path = tmp_path_factory.mktemp("rolling") / "rolling"
-    write_recording(path, ROLLING)
-    scene = path / "scene.toml"
-    lines = scene.read_text(encoding="utf-8").splitlines()
-    scene.write_text("\n".join(one for one in lines if not one.startswith("region = ")), encoding="utf-8")
-    return path
+    return write_rolling(tmp_path_factory.mktemp("rolling") / "rolling", ROLLING)
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,11 @@
 """Settings against the data: each sentence from its numbers, and in a scene that asks for it."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
@@ -15,14 +13,10 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.report import write_report
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import write_recording
-from tests.small_trials import TINY_PRESS
+from tests.small_trials import TINY_PRESS, warnings_of
 
 Array = np.ndarray[Any, Any]
 Change = Callable[..., Scene]
-
-
-def warnings_of(result: xr.Dataset) -> str:
-    return "\n".join(json.loads(result.attrs["warnings"]))
 
 
 def test_what_is_plausible_says_nothing(changed: Change) -> None:
