@@ -13,6 +13,7 @@ from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.results.result import load_result
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
+from tests.small_trials import edit_scene
 
 ROLLING = Rolling(
     n_frames=20,
@@ -36,13 +37,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(folder: Path) -> xr.Dataset:
     return load_result(folder / "result.h5")
-
-
-def changed(folder: Path, old: str, new: str) -> Path:
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    assert text.count(old) == 1, old
-    (folder / "changed.toml").write_text(text.replace(old, new), encoding="utf-8")
-    return folder / "changed.toml"
 
 
 def added_that_touch(result: xr.Dataset, first: int) -> np.ndarray:
@@ -98,7 +92,7 @@ def test_displacement_counts_from_their_own_onset(result: xr.Dataset) -> None:
 
 def test_backward(folder: Path) -> None:
     """Points of the last frame, followed back; added is what has left the contact since, which touched at the start."""
-    result = process(changed(folder, 'direction = "forward"', 'direction = "backward"'))
+    result = process(edit_scene(folder, {'direction = "forward"': 'direction = "backward"'}, "backward.toml"))
     status = result["status"].values
     assert (status[LAST] == NOT_YET).sum() > 20
     points = added_that_touch(result, LAST)
@@ -109,7 +103,7 @@ def test_backward(folder: Path) -> None:
 
 def test_again_from_a_result(folder: Path, result: xr.Dataset) -> None:
     """Bit for bit what a fresh run gives, and not what the earlier one gave."""
-    scene = load_scene(changed(folder, "gauge_length_mm = 1.6", "gauge_length_mm = 1.2"))
+    scene = load_scene(edit_scene(folder, {"gauge_length_mm = 1.6": "gauge_length_mm = 1.2"}, "gauge.toml"))
     fresh, again = process(scene), process(scene, earlier=folder / "result.h5")
     for name in fresh.data_vars:
         assert again[name].values.tobytes() == fresh[name].values.tobytes(), name
