@@ -264,7 +264,9 @@ class _Stored:
         first, last = numbers[0], numbers[-1]
         step = 1 if last >= first else -1
         if list(numbers) != list(range(first, last + step, step)):
-            raise IndexError(f"frames {list(numbers)} are not consecutive: a file is read and written by runs of frames")
+            raise IndexError(
+                f"frames {list(numbers)} are not consecutive: a file is read and written by runs of frames"
+            )
         return slice(min(first, last), max(first, last) + 1), step
 
 

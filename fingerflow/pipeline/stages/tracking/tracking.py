@@ -179,16 +179,17 @@ class TrackingStage(Stage):
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
-        return self._add(Points(*(self._engine, image, points), **self._how()), np.zeros(0, np.intp))
+        return self._add(image, points, np.zeros(0, np.intp))
 
-    def _how(self) -> dict[str, Any]:
-        return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
+    def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
+        """Add points seeded in an image, guided by earlier points of indices `numbers`; return them (1, N) there.
 
-    def _add(self, points: Points, numbers: NDArray[np.intp]) -> FoundPoints:
-        """Add seeded points, guided by earlier points of indices `numbers`; return them (1, N) in this frame."""
-        self._chosen.append(points)
+        `more` are the positions of the earlier points, and the motion of the new ones.
+        """
+        template, knowledge = self._settings.template, self.inputs.knowledge
+        self._chosen.append(Points(self._engine, image, points, *more, template=template, knowledge=knowledge))
         self._around.append(numbers)
-        return points.as_seeded
+        return self._chosen[-1].as_seeded
 
     def _view_for_choice(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
@@ -217,8 +218,7 @@ class TrackingStage(Stage):
         near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
         every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
-        new = Points(self._engine, image, points, found.points[0, near], motion=every.seeded(points), **self._how())
-        return self._add(new, near)
+        return self._add(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
