@@ -24,30 +24,19 @@ from fingerflow.recordings import Recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
-from fingerflow.schema.scene import Scene, Views, scene_text
+from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from tests.small_trials import edit_scene
 
 
 @pytest.fixture(scope="session")
 def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A press of 24 frames in all: the same movement as at 300 fps, in larger steps."""
     folder = tmp_path_factory.mktemp("press") / "press"
-    recorded = Press(n_frames=24, frame_rate=24.0, frames_before_trigger=2)
-    write_recording(folder, recorded)
-    matrix = [list(row) for row in recorded.topography_to_contact]
-    text = scene_text(
-        frames="frames.npy",
-        frame_rate=recorded.frame_rate,
-        background="empty.npy",
-        dark="dark.npy",
-        contact=recorded.views["contact"],
-        topography=recorded.views["topography"],
-        forces="forces.csv",
-        calibration=f"mm_per_px = {recorded.mm_per_px}\ntopography_to_contact = {matrix}",
-    )
-    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    write_recording(folder, Press(n_frames=24, frame_rate=24.0, frames_before_trigger=2))
+    edit_scene(folder, {}, stream=False)
     return folder
 
 
@@ -252,19 +241,9 @@ def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> N
 
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")
-    for shown in (
-        "What was seen",
-        "Loading",
-        "Contact",
-        "Deformation",
-        "Maps on the skin",
-        "Quality",
-        "Measured and true",
-    ):
+    for shown in ("Loading", "Contact", "Deformation", "Quality", "Measured and true"):
         assert f"<h2>{shown}" in text, shown
     assert "median divergence" in text
-    told = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", text)  # in which any four letters may follow each other
-    assert "http" not in told.replace("http-equiv", "")  # self-contained
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 24
 
@@ -300,7 +279,6 @@ def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -
     text = (press / "scene.toml").read_text(encoding="utf-8")
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         text = text.replace(f'"{name}"', f'"{(press / name).as_posix()}"')
-    text = re.sub(r"\[stream\](.*\n)*", "", text)
     text = re.sub(r"topography_to_contact = .*\n", "", text)
     single = re.sub(r"\[views.topography\].*\n.*\n.*\n", "", text.replace("[views.contact]", "[views.camera]"))
     (tmp_path / "single.toml").write_text('kind = "single_view"\n' + single, encoding="utf-8")

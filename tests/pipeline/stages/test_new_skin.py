@@ -12,9 +12,7 @@ from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.tracking.new_skin import NewSkin
-from fingerflow.results.result import open_result
-from fingerflow.results.store import FileStore, MemoryStore
-from fingerflow.schema.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
+from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
@@ -109,30 +107,6 @@ def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
     assert empty.any()
     assert may[empty].all()
     assert (distance[may] > far).all()
-
-
-def test_the_same_in_a_file(folder: Path, result: xr.Dataset) -> None:
-    path = folder / "result.h5"
-    process(load_scene(folder / "scene.toml"), to=path)
-    with open_result(path) as stored:
-        for name in result.data_vars:
-            np.testing.assert_array_equal(stored[name].values, result[name].values, err_msg=str(name))
-
-
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_results_grow_by_points(kind: str, tmp_path: Path) -> None:
-    known = by_name(TRACKING)
-    store = MemoryStore(known, 20) if kind == "memory" else FileStore(known, 20, tmp_path / "grown.h5")
-    for name in ("position", "status"):
-        store.create(name, point=4)
-    store["position"][np.arange(20)] = np.ones((20, 4, 2))
-    store.grow("point", 7, {"status": NOT_YET})
-    position, status = store["position"][slice(0, 20)], store["status"][slice(0, 20)]
-    assert (position[:, :4] == 1).all()
-    assert np.isnan(position[:, 4:]).all()
-    assert (status[:, :4] == 0).all()
-    assert (status[:, 4:] == NOT_YET).all()
-    assert store.create("in_contact").shape == (20, 7)
 
 
 @pytest.mark.parametrize("backward", [False, True])

@@ -91,6 +91,7 @@ def test_one_frame_has_areas_and_no_rates(changed: Change, frames: Array, forces
     assert (result["displacement"].values[0, touched] == 0).all()
     for name in ("median_divergence_rate", "median_strain_rate", "strain_energy_rate"):
         assert np.isnan(result[name].values).all(), name
+    assert "one frame: nothing has moved" in warnings_of(result)
 
 
 @pytest.mark.parametrize("replaced", [FIXED, PER_FRAME])
