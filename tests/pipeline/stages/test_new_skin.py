@@ -121,5 +121,5 @@ def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
     position = np.where((status == NOT_YET)[..., None], np.nan, moved)
     found = common_frame(position, status, 8 if backward else 0, backward)
     np.testing.assert_allclose(found.places, places, atol=1e-12)
-    assert (found.chosen[40:] == 4).all()
+    assert (found.seeded[40:] == 4).all()
     assert found.later.sum() == 20

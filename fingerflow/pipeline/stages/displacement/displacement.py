@@ -108,8 +108,8 @@ class DisplacementStage(Stage):
         points = self.results["position"].shape[1]
         # All points are known in the frame in which they are seeded, the first one that is tracked.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
-        chosen, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
+        first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
+        self._common = common_frame(self.results["position"], self.results["status"], first, backward)
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._border = Border.of(self.trial.stage(ContactStage).series)
@@ -174,7 +174,7 @@ class DisplacementStage(Stage):
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
-        self._inside = self._common.later & (touch.first == self._common.chosen)
+        self._inside = self._common.later & (touch.first == self._common.seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.place, touch.first_place)
