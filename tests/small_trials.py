@@ -21,7 +21,7 @@ from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
-from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import SyntheticScene
 from tests.pipeline.stages.rolling import Rolling
@@ -33,8 +33,10 @@ TINY_PRESS = Press(
     n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
 )
 
-#: Edits of a scene for windows that fit a small contact.
-SMALL_WINDOWS = {"window_px = 25": "window_px = 15", "min_distance_px = 6.0": "min_distance_px = 4.0"}
+#: A trial of slip in views of 192 x 240 px.
+SMALL_SLIP: dict[str, Any] = {
+    "frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
+}  # fmt: skip
 
 GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
@@ -58,6 +60,16 @@ TRIALS: dict[str, Press | Slide] = {
 def write_trial(folder: Path, kind: str = "press") -> Path:
     """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
     return write_scene_of_bundle(folder, TRIALS[kind])
+
+
+def write_small_slip(folder: Path, **settings: Any) -> Path:
+    """Writes a trial as `SMALL_SLIP`, with windows that fit a small contact; its scene does not say where skin touches.
+
+    Returns its folder.
+    """
+    write_recording(folder, PartialSlip(**(SMALL_SLIP | settings)))
+    windows = {"window_px = 25": "window_px = 15", "min_distance_px = 6.0": "min_distance_px = 4.0"}
+    return edit_scene(folder, windows, stream=False).parent
 
 
 def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:

@@ -30,16 +30,12 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.synthetic import PartialSlip, Press, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
-from tests.small_trials import edit_scene
+from tests.small_trials import SMALL_SLIP, edit_scene
 from tests.test_architecture import ARROWS
 
 SMALL = {
     "n_frames": 12, "frame_rate": 12.0, "frames_before_trigger": 1, "frame_shape": (120, 280), "finger": (1.8, 1.5),
     "semi_axes": (1.3, 1.1),
-}  # fmt: skip
-SLIP_TRIAL = {
-    "n_frames": 30, "frame_rate": 30.0, "frames_before_trigger": 2, "frame_shape": (192, 480), "finger": (3.2, 2.7),
-    "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
 }  # fmt: skip
 PICTURES = {"frame_check", "contact", "tracking"}
 #: A change of the scene, and the stages that it touches, of a press with all its outputs.
@@ -362,7 +358,7 @@ def _press(folder: Path) -> tuple[Path, list[str] | None]:
 
 
 def _slip(folder: Path) -> tuple[Path, list[str] | None]:
-    write_recording(folder, PartialSlip(**SLIP_TRIAL))
+    write_recording(folder, PartialSlip(n_frames=30, frame_rate=30.0, frames_before_trigger=2, **SMALL_SLIP))
     return folder / "scene.toml", None
 
 

@@ -26,7 +26,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.views import View
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
-from tests.small_trials import SMALL_WINDOWS, edit_scene, scene_beside
+from tests.small_trials import scene_beside, write_small_slip
 
 NAMES = ("abrupt", "fading")
 
@@ -268,11 +268,7 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
 
 def small(folder: Path, **settings: Any) -> Path:
     """A trial as `slip_trials` has them, 60 frames, with other settings."""
-    usual: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45}
-    timing: dict[str, Any] = {"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3, "travel": 0.8}
-    write_recording(folder, PartialSlip(**(usual | timing | settings)))
-    edit_scene(folder, SMALL_WINDOWS, stream=False)
-    return folder
+    return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
 
 
 def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
