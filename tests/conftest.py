@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, settings
 
 from bench.chromium import launch
 from fingerflow.kernels import tensors as kernels
-from fingerflow.synthetic import PartialSlip, write_recording
+from fingerflow.synthetic import write_recording
 from fingerflow.synthetic.marker_gel import write_gel_recording
-from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
+from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
 
 #: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
 #: before the others that play it, which would wait for it.
@@ -82,26 +82,16 @@ def slip_trials(shared_folder: Path) -> Path:
 
     def write(folder: Path) -> None:
         for name, friction in (("abrupt", (0.8, 0.4)), ("fading", (0.6, 0.8))):
-            trial = PartialSlip(
-                n_frames=120,
-                frames_before_trigger=6,
-                frame_shape=(192, 480),
-                finger=(3.2, 2.7),
-                semi_axes=(2.3, 1.9),
-                creep=0.45,
-                travel=0.8,
-                static_friction=friction[0],
-                kinetic_friction=friction[1],
-            )
-            write_recording(folder / name, trial)
-            scene = folder / name / "scene.toml"
-            text = scene.read_text(encoding="utf-8")
-            for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
-                assert old in text
-                text = text.replace(old, new)
-            scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
+            timing = {"n_frames": 120, "frames_before_trigger": 6}
+            write_small_slip(folder / name, **timing, static_friction=friction[0], kinetic_friction=friction[1])
 
     return _made_once(shared_folder / "slip", write)
+
+
+@pytest.fixture(scope="session")
+def tiny_press(shared_folder: Path) -> Path:
+    """The folder of `TINY_PRESS` of tests/small_trials.py, not to be written to."""
+    return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
 
 
 @pytest.fixture(scope="session")

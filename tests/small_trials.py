@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from fingerflow import __version__
+from fingerflow import __version__, load_scene
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import built_in, numbers_of
 from fingerflow.engines.native import NativeEngine
@@ -18,7 +19,8 @@ from fingerflow.export import export_bundle
 from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
-from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.schema.scene import Scene
+from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import SyntheticScene
 from tests.pipeline.stages.rolling import Rolling
@@ -29,6 +31,11 @@ Frame = np.ndarray[Any, Any]
 TINY_PRESS = Press(
     n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
 )
+
+#: A trial of slip in views of 192 x 240 px.
+SMALL_SLIP: dict[str, Any] = {
+    "frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
+}  # fmt: skip
 
 GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
@@ -52,6 +59,16 @@ TRIALS: dict[str, Press | Slide] = {
 def write_trial(folder: Path, kind: str = "press") -> Path:
     """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
     return write_scene_of_bundle(folder, TRIALS[kind])
+
+
+def write_small_slip(folder: Path, **settings: Any) -> Path:
+    """Writes a trial as `SMALL_SLIP`, with windows that fit a small contact; its scene does not say where skin touches.
+
+    Returns its folder.
+    """
+    write_recording(folder, PartialSlip(**(SMALL_SLIP | settings)))
+    windows = {"window_px = 25": "window_px = 15", "min_distance_px = 6.0": "min_distance_px = 4.0"}
+    return edit_scene(folder, windows, stream=False).parent
 
 
 def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:
@@ -104,6 +121,43 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 def recipe_of_trials() -> Recipe:
     """What plays these trials."""
     return Recipe(views=ViewRecipe(height=HEIGHT, width=WIDTH), **tomllib.loads(_SHARED))
+
+
+def edit_scene(folder: Path, replaced: dict[str, str], name: str = "scene.toml", stream: bool = True) -> Path:
+    """Writes a recording's scene with other texts, and without its last table, [stream], where that is not wanted."""
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    for old, new in replaced.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    (folder / name).write_text(text if stream else text[: text.index("[stream]")], encoding="utf-8")
+    return folder / name
+
+
+def scene_beside(
+    recording: Path,
+    folder: Path,
+    replaced: dict[str, str] | None = None,
+    *,
+    forces: bool = True,
+    stream: bool = True,
+    **arrays: Frame,
+) -> Scene:
+    """Writes a recording's scene in another folder, with other texts, and with other arrays in place of its files."""
+    text = (recording / "scene.toml").read_text(encoding="utf-8")
+    for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
+        text = text.replace(f'"{name}"', f'"{(recording / name).as_posix()}"')
+    for name, values in arrays.items():
+        np.save(folder / f"{name}.npy", values)
+        text = text.replace(f'"{(recording / name).as_posix()}.npy"', f'"{name}.npy"')
+    if not forces:
+        text = text[: text.index("[forces]")] + text[text.index("[calibration]") :]
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    return load_scene(edit_scene(folder, replaced or {}, stream=stream))
+
+
+def warnings_of(result: xr.Dataset) -> str:
+    """What a result warns of, a line each."""
+    return "\n".join(json.loads(result.attrs["warnings"]))
 
 
 def beside(bundle: Path) -> tuple[Path, Path]:

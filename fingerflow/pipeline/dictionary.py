@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 from fingerflow.pipeline.stages import all_stages
-from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.variables import STREAM
 
 
@@ -46,25 +45,21 @@ class DictionaryEntry(NamedTuple):
 def dictionary() -> tuple[DictionaryEntry, ...]:
     """Return all variables, stage by stage in the order in which these run."""
     return tuple(
-        _entry(variable, stage, needs)
+        DictionaryEntry(
+            variable.name,
+            variable.units,
+            variable.shown_unit.name,
+            variable.dims,
+            stage,
+            variable.long_name,
+            variable.equation,
+            variable.unasked,
+            tuple(dict.fromkeys((*needs, *variable.needs))),
+            variable.flags,
+        )
         for stage, given, needs in (
             *((stage.name, stage.gives, stage.needs) for stage in all_stages()),
             ("stream", STREAM, ()),
         )
         for variable in given
-    )
-
-
-def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> DictionaryEntry:
-    return DictionaryEntry(
-        variable.name,
-        variable.units,
-        variable.shown_unit.name,
-        variable.dims,
-        stage,
-        variable.long_name,
-        variable.equation,
-        variable.unasked,
-        tuple(dict.fromkeys((*needs, *variable.needs))),
-        variable.flags,
     )

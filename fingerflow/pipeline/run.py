@@ -78,26 +78,11 @@ def process(
     Raises:
         FingerflowError: for every error that the user can correct; the message names the file and the value.
     """
-    if to is not None:
-        process_to(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
-        return open_own(Path(to))
     with torch.inference_mode():
-        return run_alone(_in_memory(scene, outputs, device, engine, _Way(progress, ahead=True, earlier=earlier)))
-
-
-def process_to(
-    to: Path,
-    scene: Scene | str | Path,
-    outputs: Iterable[str] | None = None,
-    device: str = "auto",
-    progress: bool = False,
-    engine: str = "auto",
-    overwrite: bool = False,
-    earlier: str | Path | None = None,
-) -> None:
-    """Run `process` into a file without opening the result."""
-    with torch.inference_mode():
-        run_alone(steps_to(to, scene, outputs, device, engine, overwrite, earlier, progress, ahead=True))
+        if to is None:
+            return run_alone(_in_memory(scene, outputs, device, engine, _Way(progress, ahead=True, earlier=earlier)))
+        run_alone(steps_to(Path(to), scene, outputs, device, engine, overwrite, earlier, progress, ahead=True))
+    return open_own(Path(to))
 
 
 def process_together(
@@ -141,7 +126,7 @@ def process_together(
 def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
     """Return the results of several `steps_to` generators, computed by `engines.together.run_together`."""
     with torch.inference_mode():  # around all of them: leaving it in one would end it for the others
-        return [run_alone(many[0])] if len(many) == 1 else run_together(many)
+        return run_together(many)
 
 
 def steps_to(
@@ -155,7 +140,7 @@ def steps_to(
     progress: bool = False,
     ahead: bool = False,
 ) -> Steps[None]:
-    """Return the computation of `process_to` as a generator, to run several recordings with `run_steps`.
+    """Return the computation of `process` into a file as a generator, to run several recordings with `run_steps`.
 
     With `ahead`, the stages before the last one process the next batch in a second thread. Recordings computed together
     do not use it, as the others would wait for that thread.

@@ -2,14 +2,13 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 import h5py
 import numpy as np
 import xarray as xr
-from h5py import h5a, h5ds, h5s, h5t
+from h5py import h5s
 from numpy.typing import NDArray
 
 from fingerflow.results.free_space import check_disk, check_memory, check_write
@@ -26,7 +25,6 @@ _CHUNK_FRAMES = 64  # frames of a chunk: as many as stages read at a time; HDF5 
 # Bytes of a frame below which chunks are not worth their overhead. Only integers are compressed: most bits of positions
 # and strains are noise, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
-_TEXT, _ONE_VALUE = h5t.py_create(h5py.string_dtype(), logical=True), h5s.create(h5s.SCALAR)
 _CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more points do not double the file
 
 
@@ -151,7 +149,8 @@ class FileStore(Store):
         fill, kind = _fill(variable)
         layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
         if any(dim in _GROWING for dim in variable.dims):
-            layout["maxshape"] = _longest(variable.dims, shape)
+            sides = zip(variable.dims, shape, strict=True)
+            layout["maxshape"] = tuple(None if dim in _GROWING else size for dim, size in sides)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
@@ -220,99 +219,56 @@ class FileStore(Store):
             if name not in scales:
                 _describe(stored, {"_Netcdf4Dimid": numbers[dims[0]]})
                 for place, dim in enumerate(dims):
-                    h5ds.attach_scale(stored.id, scales[dim].id, place)
+                    stored.dims[place].attach_scale(scales[dim])
         versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
         self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
 
 
-def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None, ...]:
-    """Return the maximum shape of a variable; None for an unlimited dimension."""
-    return tuple(None if dim in _GROWING else size for dim, size in zip(dims, shape, strict=True))
-
-
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
-    """Write new attributes in the NetCDF form: texts, and arrays of numbers.
-
-    It uses HDF5's low-level calls, as h5py's high-level ones take three times as long and a result has some 350
-    attributes.
-    """
+    """Write attributes in the NetCDF form: texts, and arrays of numbers."""
     for name, value in attributes.items():
-        if isinstance(value, str):
-            given, space, kind, own = np.array(value, dtype=object), _ONE_VALUE, _TEXT, h5t.PYTHON_OBJECT
-        else:
-            given = np.asarray(value) if isinstance(value, np.generic) else np.atleast_1d(value)
-            space, kind = h5s.create_simple(given.shape), _type(given.dtype)
-            own = kind
-        h5a.create(stored.id, name.encode(), kind, space).write(given, own)
-
-
-@lru_cache(64)
-def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
-    """Return HDF5's dataspace for a whole array of this shape."""
-    return h5s.create_simple(shape)
-
-
-@cache
-def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    """Return HDF5's type for numbers."""
-    return h5t.py_create(dtype, logical=True)
+        stored.attrs[name] = value if isinstance(value, (str, np.generic)) else np.atleast_1d(value)
 
 
 class _Stored:
     """A variable in a file, read and written by consecutive frames, ascending or descending."""
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
-        self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
-        self._part = variable.id.get_space()  # dataspace in the file; the selected frames are read or written
-        self._dtype, self._kind = variable.dtype, _type(variable.dtype)
+        self._variable, self._path, self.shape = variable, path, tuple(variable.shape)
 
     def resize(self, size: int, axis: int) -> None:
         """Extend an axis."""
-        self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
-        self._id.set_extent(self.shape)
-        self._part = self._id.get_space()
+        self._variable.resize(size, axis)
+        self.shape = tuple(self._variable.shape)
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
-        first, count, step = self._consecutive(index)
-        found = np.empty((count, *self.shape[1:]), self._dtype)
-        if found.size:
-            memory, part = self._spaces(first, found.shape)
-            self._id.read(memory, part, found, self._kind)
-        return found[::step]
+        frames, step = self._consecutive(index)
+        found: NDArray[Any] = self._variable[frames][::step]
+        return found
 
     def __setitem__(self, index: Any, values: Any) -> None:
-        first, count, step = self._consecutive(index)
-        given, shape = np.asarray(values, self._dtype), (count, *self.shape[1:])
-        if given.shape != shape:
-            given = np.broadcast_to(given, shape)
-        given = np.ascontiguousarray(given[::step])
+        frames, step = self._consecutive(index)
+        shape = (frames.stop - frames.start, *self.shape[1:])
+        given = np.broadcast_to(np.asarray(values, self._variable.dtype), shape)
         check_write(self._path, given.nbytes)
         if given.size:
-            memory, part = self._spaces(first, shape)
-            self._id.write(memory, part, given, self._kind)
+            # HDF5's own call: h5py's indexing takes three times as long for the few frames of a batch.
+            part = self._variable.id.get_space()
+            part.select_hyperslab((frames.start, *(0,) * (len(shape) - 1)), shape)
+            self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))
 
-    def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
-        """Return the dataspaces of an array in memory and of as many frames in the file, starting with `first`."""
-        self._part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
-        return _space(shape), self._part
-
-    def _consecutive(self, index: Any) -> tuple[int, int, int]:
-        """Return the lowest of consecutive frame numbers, their count, and step 1 (ascending) or -1 (descending)."""
-        if isinstance(index, slice):
-            first, end, step = index.indices(self.shape[0])
-            if step == 1:
-                return first, max(end - first, 0), 1
-            numbers = list(range(first, end, step))
-        else:
-            numbers = np.asarray(index).tolist()  # for a few numbers Python is faster than NumPy
-        if not numbers:
-            return 0, 0, 1
+    def _consecutive(self, index: Any) -> tuple[slice, int]:
+        """Return consecutive frames as an ascending slice, and step 1 or, where `index` descends, -1."""
+        numbers = range(self.shape[0])[index] if isinstance(index, slice) else np.asarray(index, dtype=int).tolist()
+        if not len(numbers):
+            return slice(0, 0), 1
         first, last = numbers[0], numbers[-1]
-        if numbers == list(range(first, last + 1)):
-            return first, len(numbers), 1
-        if numbers == list(range(first, last - 1, -1)):
-            return last, len(numbers), -1
-        raise IndexError(f"frames {numbers} are not consecutive: a file is read and written by runs of frames")
+        step = 1 if last >= first else -1
+        if list(numbers) != list(range(first, last + step, step)):
+            raise IndexError(
+                f"frames {list(numbers)} are not consecutive: a file is read and written by runs of frames"
+            )
+        return slice(min(first, last), max(first, last) + 1), step
 
 
 def _fill(variable: Variable) -> tuple[float, str]:

@@ -114,7 +114,7 @@ class SinceEntry(NamedTuple):
     """Gradients of E advected points in n frames; NaN before the entry and where too little is known."""
 
     gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, with respect to positions at that time
-    covariance: Array | None  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
+    covariance: Array  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
 
 
 class EntryGradients:
@@ -125,7 +125,7 @@ class EntryGradients:
 
         Other arguments are those of `advected`.
         """
-        self._engine, self.entered, self._onset, self._gauge = engine, entered, onset[entered], gauge_mm
+        self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
         known = np.flatnonzero(np.isfinite(places).all(1))
         apart = np.full(len(known), np.inf)
         for one in places[entered]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -23,12 +24,13 @@ from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import REACH, UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.motion import TRUSTED, PointMotion, known_of
-from fingerflow.tracker.recovery import lost_points, recover
-from fingerflow.tracker.template_update import MOST_FRAMES, update_interval
+from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
 from fingerflow.tracker.verification import Verification
 
 Array = NDArray[Any]
 
+MOST_FRAMES = 8  # longest update interval of templates, for slow skin
+FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
 _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must be found elsewhere after a jump
 
 
@@ -99,8 +101,8 @@ class Points:
         image: Images,
         points: Array,
         around: Array | None = None,
-        *,
         motion: PointMotion | None = None,
+        *,
         template: str = "keyframe",
         knowledge: Knowledge = RECORDING,
         again: bool = False,
@@ -200,7 +202,8 @@ class Points:
         """
         if index is not None:
             self._index = index
-        return run_alone(self._learnt(image, resolved, frames))
+        found = run_alone(self._accepted(resolved, frames, image))
+        return run_alone(self._verified(image, found))
 
     def changes(self, index: int) -> bool:
         """Return whether templates are to be updated before the frame of this number: earlier frames must end first."""
@@ -246,29 +249,26 @@ class Points:
         guess = self.expect()
         if len(images) == 1:
             frames = self._gap + 1
-            found = (yield from self._looked(images, guess)).found
+            found = yield from self._looked(images, guess)
             resolved = yield from self._resolved(images, guess, found, frames, around)
             return (yield from self._accepted(resolved, frames, images))
         speed = self.motion.speed
         followed: Followed = yield Call(self._engine.follow, (self._templates, images, guess - speed, speed, None))
         return (yield from self._finished_all(images, followed, around))
 
-    def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[Followed]:
+    def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
         """Track all points, or some rows, in one image near guesses."""
+        guess = guess.astype(np.float32, copy=False)
         followed: Followed = yield Call(
             self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
         )
-        return followed
+        return followed.found
 
     def _resolved(
         self, image: Images, guess: Array, found: FoundPoints, frames: int, around: FoundPoints
     ) -> Steps[Resolved]:
         found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
-
-    def _learnt(self, image: Images, resolved: Resolved, frames: int) -> Steps[FoundPoints]:
-        found = yield from self._accepted(resolved, frames, image)
-        return (yield from self._verified(image, found))
 
     def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
         """Recover lost points, correct positions and update the motion for images that were tracked in one call."""
@@ -287,25 +287,27 @@ class Points:
         for k in range(len(images)):
             image = images[k : k + 1]
             guess = motion.expect(gap + 1)
-            found = (yield from self._looked(image, guess, rows)).found
-            whole = _scattered(found, rows, len(self))
-            guesses = np.full((len(self), 2), np.nan, np.float32)
-            guesses[rows] = guess
-            wanted = np.zeros(len(self), dtype=bool)
-            wanted[rows] = True
-            known = yield from recover(
-                self._engine, self._templates, self._key, self.start, image, whole, guesses, wanted
-            )
-            one = known.found.of(slice(None), rows)
-            motion = motion.see(one.points[0], gap + 1, jolted=known.searched[rows])
-            every.append(one)
+            found = yield from self._looked(image, guess, rows)
+            look, search = self._ways_to_find(image, rows)
+            known = yield from recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
+            motion = motion.see(known.found.points[0], gap + 1, jolted=known.searched)
+            every.append(known.found)
             gap = 0
-        found = FoundPoints(*(one.copy() for one in followed.found))
-        for whole_, part in zip(found, map(np.concatenate, zip(*every, strict=True)), strict=True):
-            whole_[:, rows] = part
+        found = replaced(followed.found, rows, FoundPoints(*map(np.concatenate, zip(*every, strict=True))))
         place, speed = followed.place.copy(), followed.speed.copy()
         place[rows], speed[rows] = motion.place, motion.speed
         return Followed(found, place, speed)
+
+    def _ways_to_find(self, image: Images, rows: Array) -> tuple[Look, Search]:
+        """Return how `recover` looks and searches for these points in an image; it numbers them from 0."""
+
+        def look(places: Array, some: Array) -> Steps[FoundPoints]:
+            return self._looked(image, places, rows[some])
+
+        def search(some: Array, guess: Array) -> tuple[Array, Array]:
+            return self._engine.search(self._key, image, self.start[rows[some]], guess)
+
+        return look, search
 
     def _accepted(self, resolved: Resolved, frames: int, image: Images) -> Steps[FoundPoints]:
         before, corrected = self.motion, resolved.corrected
@@ -329,20 +331,15 @@ class Points:
             # By now the frames in between are known, and a prediction from them is closer.
             guess = self.motion.expect(frames)
             rows = np.flatnonzero(lost)
-            nearer = yield from self._looked(image, guess[rows], rows)
-            found = FoundPoints(*(one.copy() for one in found))
-            for whole, part in zip(found, nearer.found, strict=True):
-                whole[:, rows] = part
+            found = replaced(found, rows, (yield from self._looked(image, guess[rows], rows)))
             lost &= lost_points(found.status[0])
         searched = None
         led = wanted & (np.abs(found.points[0] - guess).max(-1) > REACH + 0.5)  # False where lost
         missing = int((lost | led).sum())
         if self._engine.settings.search_px and lost.any():
-            recovered = yield from recover(
-                *(self._engine, self._templates, self._key, self.start, image, found, guess, wanted),
-                self._knowledge.searched,
-                self._by_neighbours,
-            )
+            look, search = self._ways_to_find(image, np.arange(len(self)))
+            limits = self._knowledge.searched, self._by_neighbours
+            recovered = yield from recover(found, guess, wanted, look, search, *limits)
             found, searched = recovered.found, recovered.searched
         back = missing - int((lost & lost_points(found.status[0])).sum())
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
@@ -378,15 +375,10 @@ class Points:
         off_neighbours, uncertain = yield Call(self._engine.outliers, (self._neighbours, self._every, found))
         tracked = found.status == TrackStatus.TRACKED
         uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
-        if not (uncertain.any() or off_neighbours.any()):
-            return found
-        status = found.status.copy()
-        status[uncertain] = TrackStatus.UNCERTAIN
-        status[off_neighbours] = TrackStatus.OFF_NEIGHBOURS
-        gone = status != TrackStatus.TRACKED
-        points, covariance = found.points.copy(), found.covariance.copy()
-        points[gone] = covariance[gone] = np.nan
-        return found._replace(points=points, covariance=covariance, status=status)
+        for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
+            if which.any():
+                found = rejected(found, which, status)
+        return found
 
     def _known_of_templates(self, others: int) -> tuple[Array, Array]:
         """Return the template statistics and F_0^-1 of (N + A) points.
@@ -430,7 +422,7 @@ class Points:
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
         change = change[np.isfinite(change)]
         fastest = window // 2 * float(np.quantile(change, 0.95)) / frames if len(change) else 0.0
-        self._interval = update_interval(fastest)
+        self._interval = _update_interval(fastest)
         self._warp, self._checked = warp, self._followed
         much = shift > UPDATE_PX
         for pending in self._pending:
@@ -457,12 +449,8 @@ class Points:
         if not self._by_key:
             covariance = self._since_start(found.variance)[..., None, None] * np.eye(2, dtype=np.float32)
         differs = (found.status == TrackStatus.TRACKED) & failed
-        if not differs.any():
-            return found._replace(covariance=covariance)
-        points, covariance, status = found.points.copy(), covariance.copy(), found.status.copy()
-        points[differs] = covariance[differs] = np.nan
-        status[differs] = TrackStatus.WINDOW_DIFFERS
-        return found._replace(points=points, covariance=covariance, status=status)
+        found = found._replace(covariance=covariance)
+        return rejected(found, differs, TrackStatus.WINDOW_DIFFERS) if differs.any() else found
 
     def _last_warp(self) -> Array:
         """Return the deformation gradient (N, 2, 2) in the last frame, NaN where it is not known."""
@@ -495,12 +483,9 @@ def _last_seen(points: Array, before: Array) -> Array:
     return places
 
 
-def _scattered(found: FoundPoints, rows: Array, count: int) -> FoundPoints:
-    """Return the result (1, L) of some rows as that of all points (1, N); the others are NaN and NOT_FINITE."""
-    whole = []
-    for one in found:
-        filler = np.nan if one.dtype.kind == "f" else TrackStatus.NOT_FINITE
-        every = np.full((1, count, *one.shape[2:]), filler, one.dtype)
-        every[:, rows] = one
-        whole.append(every)
-    return FoundPoints(*whole)
+def _update_interval(fastest: float) -> int:
+    """Return the frames to the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
+
+    Within it, window edges that shift by `fastest` px a frame shift by `FASTEST_PX` at most, if 1 frame allows it.
+    """
+    return 1 << int(math.log2(min(max(FASTEST_PX / max(fastest, 1e-9), 1), MOST_FRAMES)))

@@ -8,11 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine, Followed, FoundPoints, Images, KeyFrame, TemplateBuffers
-from fingerflow.engines.together import Call, Steps
+from fingerflow.engines.engine import FoundPoints
+from fingerflow.engines.together import Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
+#: Tracks rows (L,) near places (L, 2) px and returns them (1, L).
+Look = Callable[[Array, Array], Steps[FoundPoints]]
+#: Returns places (L, 2) px of rows (L,) near guesses (L, 2), and whether they return to their start (L,).
+Search = Callable[[Array, Array], tuple[Array, Array]]
 
 ROUNDS = 3  # searches of a frame, at most
 _YIELD = 0.25  # share of the points searched for that are found, below which no other round follows
@@ -38,14 +42,11 @@ def lost_points(status: Array) -> Array:
 
 
 def recover(
-    engine: Engine,
-    templates: TemplateBuffers,
-    key: KeyFrame,
-    start: Array,
-    image: Images,
     found: FoundPoints,
     guess: Array,
     wanted: Array,
+    look: Look,
+    search: Search,
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
 ) -> Steps[Recovered]:
@@ -56,12 +57,13 @@ def recover(
     give the displacement of all.
 
     Args:
-        key, start: key frame of the templates and their reference positions (N, 2) px in it.
         wanted: (N,) points to search for if they are lost.
+        look: tracks some rows in the frame.
+        search: searches for some rows around their guesses, as `Engine.search`.
         most: largest number of points searched for in one round; None for all.
         by_neighbours: returns positions (N, 2) px predicted from neighbours, given the points found so far.
     """
-    searched = np.zeros(len(start), dtype=bool)
+    searched = np.zeros(len(wanted), dtype=bool)
     left = wanted & lost_points(found.status[0])
     for _ in range(ROUNDS):
         rows = np.flatnonzero(left & lost_points(found.status[0]))
@@ -72,7 +74,8 @@ def recover(
             # Points are ordered by strength, which is unrelated to position: equal steps sample the whole view.
             some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
         left[some] = False
-        found = yield from _searched(engine, templates, key, start, image, found, guess, some)
+        places, returns = search(some, guess[some])
+        found = replaced(found, some, _returning((yield from look(places, some)), returns, guess[some]))
         searched[some] = True
         if len(some) == len(rows) or by_neighbours is None:
             break
@@ -82,46 +85,34 @@ def recover(
         away = np.abs(places - guess).max(-1) > _NEARER  # False where nothing is known
         others = np.flatnonzero(wanted & lost_points(found.status[0]) & away)
         if len(others):
-            again = yield from _look(engine, templates, image, places[others], others)
-            found = _replaced(found, others, again)
+            found = replaced(found, others, (yield from look(places[others], others)))
             searched[others] = True
     return Recovered(found, searched)
 
 
-def _look(engine: Engine, templates: TemplateBuffers, image: Images, places: Array, rows: Array) -> Steps[FoundPoints]:
-    at_rest = np.zeros((len(rows), 2), np.float32)
-    followed: Followed = yield Call(engine.follow, (templates, image, places.astype(np.float32), at_rest, rows))
-    return followed.found
+def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
+    """Return points (1, L), rejected with FORWARD_BACKWARD unless their backward search `returns` (L,) to the start.
 
-
-def _searched(
-    engine: Engine,
-    templates: TemplateBuffers,
-    key: KeyFrame,
-    start: Array,
-    image: Images,
-    found: FoundPoints,
-    guess: Array,
-    rows: Array,
-) -> Steps[FoundPoints]:
-    """Search for some rows within `search_px` of their guesses and return the updated result.
-
-    Each point is also searched for backward, independently of the forward search. If this misses the start by more than
-    the forward-backward limit plus 1 px, the accuracy of a search, its status is FORWARD_BACKWARD.
+    Each point is searched for backward, independently of the forward search. It returns if it misses the start by at
+    most the forward-backward limit plus 1 px, the accuracy of a search.
     """
-    near = guess[rows]
-    places, returns = engine.search(key, image, start[rows], near)
-    again = yield from _look(engine, templates, image, places, rows)
-    wrong = ~returns & (again.status[0] == TrackStatus.TRACKED)
-    if wrong.any():
-        again.points[0, wrong] = again.covariance[0, wrong] = np.nan
-        again.status[0, wrong] = TrackStatus.FORWARD_BACKWARD
-        again.estimate[0, wrong] = near[wrong]
-    return _replaced(found, rows, again)
+    wrong = ~returns[None] & (found.status == TrackStatus.TRACKED)
+    if not wrong.any():
+        return found
+    estimate = np.where(wrong[..., None], guess, found.estimate)
+    return rejected(found, wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
 
 
-def _replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return the result of (1, N) points with some rows replaced by `again`."""
+def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
+    """Return points (n, N) of which some (n, N) have no position and another status."""
+    points, covariance = found.points.copy(), found.covariance.copy()
+    points[which] = covariance[which] = np.nan
+    changed = np.where(which, np.uint8(status), found.status)
+    return found._replace(points=points, covariance=covariance, status=changed)
+
+
+def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
+    """Return points (n, N) with some rows replaced by `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

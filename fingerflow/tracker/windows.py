@@ -33,16 +33,8 @@ class Centred(NamedTuple):
         return cls(part, np.square(part).mean(1))
 
 
-def correlation(one: Array, other: Array) -> Array:
-    """Return the normalised correlation (N,) of windows (N, m), NaN where one is blank.
-
-    It does not depend on gain and offset.
-    """
-    return correlation_of(Centred.of(one), Centred.of(other))
-
-
 def correlation_of(first: Centred, second: Centred) -> Array:
-    """Return the normalised correlation (N,) of centred windows; NaN where one is blank."""
+    """Return the normalised correlation (N,) of centred windows, independent of gain and offset; NaN for blank ones."""
     variances = first.variance * second.variance
     found = (first.part * second.part).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
     result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))

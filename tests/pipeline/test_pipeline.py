@@ -1,4 +1,7 @@
-"""The main job on a short synthetic press: numbers against truth, and what is run for which output."""
+"""The main job on a short synthetic press: what is run for which output, and what its numbers count from.
+
+tests/test_press_accuracy.py compares them with truth.
+"""
 
 import json
 import re
@@ -17,36 +20,23 @@ from fingerflow import load_scene, open_stream, process
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
-from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings import Recording
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
-from fingerflow.results.tables import export_table
 from fingerflow.schema.scene import Scene, Views
-from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from tests.small_trials import edit_scene
 
 
 @pytest.fixture(scope="session")
 def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A press of 24 frames in all: the same movement as at 300 fps, in larger steps."""
     folder = tmp_path_factory.mktemp("press") / "press"
-    recorded = Press(n_frames=24, frame_rate=24.0, frames_before_trigger=2)
-    write_recording(folder, recorded)
-    matrix = [list(row) for row in recorded.topography_to_contact]
-    text = scene_text(
-        frames="frames.npy",
-        frame_rate=recorded.frame_rate,
-        background="empty.npy",
-        dark="dark.npy",
-        contact=recorded.views["contact"],
-        topography=recorded.views["topography"],
-        forces="forces.csv",
-        calibration=f"mm_per_px = {recorded.mm_per_px}\ntopography_to_contact = {matrix}",
-    )
-    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    write_recording(folder, Press(n_frames=24, frame_rate=24.0, frames_before_trigger=2))
+    edit_scene(folder, {}, stream=False)
     return folder
 
 
@@ -58,30 +48,6 @@ def scene(press: Path) -> Scene:
 @pytest.fixture(scope="session")
 def result(scene: Scene) -> xr.Dataset:
     return process(scene)
-
-
-def test_positions_stay_at_the_noise_of_two_frames(result: xr.Dataset, press: Path) -> None:
-    """With keyframes errors do not add up: at the end no more than the stated deviation, plus a fifth."""
-    truth = rebuild_scene(press).truth
-    pixels = result["position_px"].values
-    last = len(pixels) - 1
-    material = truth.material(truth.topography_positions(pixels[0]), 0)
-    error = pixels[last] - truth.topography_pixels(truth.positions(material, last))
-    tracked = result["status"].values[last] == 0
-    assert tracked.mean() > 0.9
-    stated = np.sqrt((result["position_std_px"].values[last][tracked] ** 2).mean())
-    assert np.sqrt((error[tracked] ** 2).mean()) < 1.2 * stated
-    assert stated < 0.04
-
-
-def test_areas_against_truth(result: xr.Dataset, press: Path) -> None:
-    """Real area to 2 %, gross area to 5 %: the median rounds the ends of ridges at the border of the contact."""
-    truth = rebuild_scene(press).truth
-    for frame in (12, 18, 23):
-        assert result["real_contact_area"].values[frame] == pytest.approx(truth.real_contact_area_mm2(frame), rel=0.02)
-        assert result["gross_contact_area"].values[frame] == pytest.approx(
-            truth.gross_contact_area_mm2(frame), rel=0.05
-        )
 
 
 def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
@@ -111,13 +77,6 @@ def test_global_displacement_takes_each_component(result: xr.Dataset) -> None:
     expected = np.nanmedian(result["displacement"].values[-1], axis=0)
     np.testing.assert_allclose(result["global_displacement_vector"].values[-1], expected)
     assert result["global_displacement"].values[-1] == pytest.approx(np.hypot(*expected))
-
-
-def test_median_divergence_follows_truth(result: xr.Dataset, press: Path) -> None:
-    """To 8 um/mm: the gauge of 2 mm smooths a field that changes by 300 um/mm over the contact."""
-    truth = rebuild_scene(press).truth
-    for frame in (12, 18, 23):
-        assert result["median_divergence"].values[frame] == pytest.approx(truth.medians(frame).divergence, abs=8e-3)
 
 
 def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
@@ -176,30 +135,15 @@ def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPa
     assert set(forces.data_vars) == {"normal_force", "tangential_force"} | made
 
 
-def test_results_survive_the_disk(result: xr.Dataset, tmp_path: Path) -> None:
+def test_results_survive_the_disk_and_a_failed_write_leaves_nothing(
+    result: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     save_result(result, tmp_path / "result.h5")
     again = load_result(tmp_path / "result.h5")
     xr.testing.assert_identical(again["median_strain"], result["median_strain"])
     assert again.attrs["mm_per_px"] == result.attrs["mm_per_px"]
-    assert list(tmp_path.iterdir()) == [tmp_path / "result.h5"]
+    (tmp_path / "result.h5").unlink()
 
-
-def test_tables(result: xr.Dataset, tmp_path: Path) -> None:
-    import scipy.io
-
-    export_table(result, tmp_path / "table.csv")
-    names = (tmp_path / "table.csv").read_text().splitlines()[0].split(",")
-    rows = np.genfromtxt(tmp_path / "table.csv", delimiter=",", skip_header=1)
-    assert rows.shape == (24, len(names))
-    column = names.index("real_contact_area (mm2)")
-    np.testing.assert_allclose(rows[:, column], result["real_contact_area"], rtol=1e-8)
-    export_table(result, tmp_path / "all.mat")
-    assert scipy.io.loadmat(tmp_path / "all.mat")["position"].shape == result["position"].shape
-    with pytest.raises(FingerflowError, match=r"\.xlsx"):
-        export_table(result, tmp_path / "table.xlsx")
-
-
-def test_a_failed_write_leaves_nothing(result: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -217,13 +161,6 @@ def test_unknown_output_is_named(scene: Scene) -> None:
         plan(["divergence"], replace(scene, views=without))
     with pytest.raises(FingerflowError, match="forces"):
         plan(["normal_force"], replace(scene, forces=None))
-
-
-def test_no_finger_in_view(scene: Scene, press: Path, tmp_path: Path) -> None:
-    np.save(tmp_path / "nothing.npy", np.stack([Press().empty(k) for k in range(3)]))
-    recording = replace(scene.recording, frames=tmp_path / "nothing.npy")
-    with pytest.raises(FingerflowError, match="no finger is in view"):
-        process(replace(scene, recording=recording, forces=None))
 
 
 def test_background_of_another_size(scene: Scene, tmp_path: Path) -> None:
@@ -294,10 +231,6 @@ def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], N
         np.testing.assert_array_equal(results[1][name].values, results[0][name].values, err_msg=str(name))
 
 
-def test_recording_is_read_lazily(press: Path) -> None:
-    assert len(open_recording(press / "frames.npy", frame_rate=24.0)) == 24
-
-
 def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> None:
     import av
 
@@ -306,19 +239,9 @@ def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> N
 
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")
-    for shown in (
-        "What was seen",
-        "Loading",
-        "Contact",
-        "Deformation",
-        "Maps on the skin",
-        "Quality",
-        "Measured and true",
-    ):
+    for shown in ("Loading", "Contact", "Deformation", "Quality", "Measured and true"):
         assert f"<h2>{shown}" in text, shown
     assert "median divergence" in text
-    told = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", text)  # in which any four letters may follow each other
-    assert "http" not in told.replace("http-equiv", "")  # self-contained
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 24
 
@@ -343,29 +266,6 @@ def test_triangles_that_are_lost_count_like_the_others() -> None:
     torch.testing.assert_close(total, torch.tensor([4.0, 4.0, torch.nan, torch.nan, torch.nan]), equal_nan=True)
 
 
-def test_float64_frames(scene: Scene, tmp_path: Path) -> None:
-    from fingerflow.recordings import open_recording
-
-    frames = open_recording(scene.recording.frames, frame_rate=24.0)[-2:].read().astype(np.float64)
-    np.save(tmp_path / "frames.npy", frames)
-    recording = replace(scene.recording, frames=tmp_path / "frames.npy", trigger_frame=None)
-    found = process(replace(scene, recording=recording, forces=None), ["position", "status"])
-    assert (found["status"].values[1] == 0).mean() > 0.9
-
-
-def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
-    frames = open_recording(scene.recording.frames, frame_rate=24.0).read()
-    expected = frames.copy()
-    frames[7] = 0
-    areas = []
-    for name, stack in (("black", frames), ("whole", expected)):
-        np.save(tmp_path / f"{name}.npy", stack)
-        recording = replace(scene.recording, frames=tmp_path / f"{name}.npy", trigger_frame=None)
-        alone = replace(scene, recording=recording, forces=None)
-        areas.append(process(alone, ["real_contact_area"])["real_contact_area"].values)
-    np.testing.assert_allclose(np.delete(areas[0], 7), np.delete(areas[1], 7))
-
-
 def test_swapped_views_are_named(scene: Scene) -> None:
     swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
     with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
@@ -377,7 +277,6 @@ def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -
     text = (press / "scene.toml").read_text(encoding="utf-8")
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         text = text.replace(f'"{name}"', f'"{(press / name).as_posix()}"')
-    text = re.sub(r"\[stream\](.*\n)*", "", text)
     text = re.sub(r"topography_to_contact = .*\n", "", text)
     single = re.sub(r"\[views.topography\].*\n.*\n.*\n", "", text.replace("[views.contact]", "[views.camera]"))
     (tmp_path / "single.toml").write_text('kind = "single_view"\n' + single, encoding="utf-8")
@@ -404,14 +303,6 @@ def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scen
         errors.append(np.nanmedian(np.linalg.norm(pixels[-1] - last, axis=-1)))
     assert not np.array_equal(plain["position_px"].values[0], enhanced["position_px"].values[0])
     assert errors[1] < 1.2 * errors[0]
-
-
-def test_a_result_spares_what_it_is_made_of(scene: Scene) -> None:
-    before = scene.recording.frames.read_bytes()
-    for given in (scene.recording.frames, str(scene.path), scene.background.frames):
-        with pytest.raises(FingerflowError, match="would be replaced"):
-            process(scene, ["normal_force"], to=given)
-    assert scene.recording.frames.read_bytes() == before
 
 
 def test_what_is_made_of_a_scene_spares_its_calibration_and_its_video(scene: Scene, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from fingerflow.graphs.track import TrackGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.run import process_together
 from fingerflow.synthetic import Press, write_recording
+from tests.small_trials import edit_scene
 
 _FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 240), "finger": (1.8, 1.5)}
 _TRIALS = (
@@ -38,11 +39,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for trial, points in zip(_TRIALS, _POINTS, strict=True):
         folder = tmp_path_factory.mktemp("trial") / "recording"
         write_recording(folder, trial)
-        scene = folder / "scene.toml"
-        text = scene.read_text(encoding="utf-8")
-        assert text.count("points = 700") == 1
-        scene.write_text(text.replace("points = 700", f"points = {points}"), encoding="utf-8")
-        found.append(scene)
+        found.append(edit_scene(folder, {"points = 700": f"points = {points}"}))
     return found
 
 
@@ -133,9 +130,8 @@ def test_compiled_kernels_give_each_its_own_numbers(scenes: list[Path], engine: 
 
 @pytest.mark.usefixtures("portable")
 def test_other_settings_are_asked_by_themselves(scenes: list[Path], batches: dict[str, list[int]]) -> None:
-    text = scenes[1].read_text(encoding="utf-8")
-    other = scenes[1].with_name("other.toml")
-    other.write_text(text.replace("forward_backward_limit_px = 1.0", "forward_backward_limit_px = 0.5"), "utf-8")
+    limit = {"forward_backward_limit_px = 1.0": "forward_backward_limit_px = 0.5"}
+    other = edit_scene(scenes[1].parent, limit, "other.toml")
     given = [scenes[0], other]
     for one, expected in zip(together(given), alone(given), strict=True):
         compare(one, expected, _ROUNDING)

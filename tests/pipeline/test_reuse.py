@@ -1,7 +1,6 @@
 """Again from an earlier result: the data of a fresh run bit for bit, and nothing computed that need not be."""
 
 import json
-import re
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -31,15 +30,12 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.synthetic import PartialSlip, Press, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
+from tests.small_trials import SMALL_SLIP, edit_scene
 from tests.test_architecture import ARROWS
 
 SMALL = {
     "n_frames": 12, "frame_rate": 12.0, "frames_before_trigger": 1, "frame_shape": (120, 280), "finger": (1.8, 1.5),
     "semi_axes": (1.3, 1.1),
-}  # fmt: skip
-SLIP_TRIAL = {
-    "n_frames": 30, "frame_rate": 30.0, "frames_before_trigger": 2, "frame_shape": (192, 480), "finger": (3.2, 2.7),
-    "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
 }  # fmt: skip
 PICTURES = {"frame_check", "contact", "tracking"}
 #: A change of the scene, and the stages that it touches, of a press with all its outputs.
@@ -93,10 +89,7 @@ def _noting(begin: Callable[[Stage], None], found: set[str]) -> Callable[[Stage]
 
 
 def scene_with(folder: Path, old: str, new: str, name: str = "changed.toml") -> Scene:
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    assert text.count(old) == 1, old
-    (folder / name).write_text(text.replace(old, new), encoding="utf-8")
-    return load_scene(folder / name)
+    return load_scene(edit_scene(folder, {old: new}, name))
 
 
 def assert_same(found: xr.Dataset, expected: xr.Dataset) -> None:
@@ -266,7 +259,7 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     assert found.exit_code == 0, found.exception
     assert "displacement" in found.stdout
     assert not ran & PICTURES
-    scene.write_text(scene.read_text(encoding="utf-8").replace("depth_mm = 2.0", "depth_mm = 3.0"), encoding="utf-8")
+    edit_scene(scene.parent, {"depth_mm = 2.0": "depth_mm = 3.0"})
     found = CliRunner().invoke(app, ["process", "--from", str(result)])  # which now names the copied scene
     assert "computed: strain, since fields.depth_mm was 2.0 and is 3.0" in found.stdout
     assert "taken from" in found.stdout
@@ -358,26 +351,20 @@ def _declared(stage: type[Stage], at: dict[type[Stage], type[Stage]]) -> Iterato
 def _press(folder: Path) -> tuple[Path, list[str] | None]:
     """With all its outputs, and what only other settings read."""
     write_recording(folder, Press(**SMALL))
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    text = text.replace('points_from = "recorded"', 'points_from = "enhanced"')
-    (folder / "scene.toml").write_text(text.replace('"reference_frame"', '"per_frame"'), encoding="utf-8")
-    scene = load_scene(folder / "scene.toml")
+    others = {'points_from = "recorded"': 'points_from = "enhanced"', '"reference_frame"': '"per_frame"'}
+    scene = load_scene(edit_scene(folder, others))
     names = [name for name in OUTPUTS if all(map(scene.has, VARIABLES[name].needs))]
     return folder / "scene.toml", [name for name in names if name not in by_name(SLIP, SENSOR_SLIP)]
 
 
 def _slip(folder: Path) -> tuple[Path, list[str] | None]:
-    write_recording(folder, PartialSlip(**SLIP_TRIAL))
+    write_recording(folder, PartialSlip(n_frames=30, frame_rate=30.0, frames_before_trigger=2, **SMALL_SLIP))
     return folder / "scene.toml", None
 
 
 def _dense_flow_slip(folder: Path) -> tuple[Path, list[str] | None]:
-    path, outputs = _slip(folder)
-    text = path.read_text(encoding="utf-8")
-    text, changed = re.subn(r'(?m)^displacement = "points"', 'displacement = "dense_flow"', text)
-    assert changed == 1
-    path.write_text(text, encoding="utf-8")
-    return path, outputs
+    _, outputs = _slip(folder)
+    return edit_scene(folder, {'\ndisplacement = "points"': '\ndisplacement = "dense_flow"'}), outputs
 
 
 def _gel(folder: Path) -> tuple[Path, list[str] | None]:

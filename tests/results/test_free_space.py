@@ -12,17 +12,13 @@ from fingerflow.pipeline.plan import VARIABLES, plan
 from fingerflow.results import free_space as room
 from fingerflow.results.result import save_result
 from fingerflow.schema.scene import Scene
-from fingerflow.synthetic import write_recording
-from tests.small_trials import TINY_PRESS
 
 Usage = namedtuple("Usage", "total used free")
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    folder = tmp_path_factory.mktemp("room") / "press"
-    write_recording(folder, TINY_PRESS)
-    return load_scene(folder / "scene.toml")
+def scene(tiny_press: Path) -> Scene:
+    return load_scene(tiny_press / "scene.toml")
 
 
 def test_the_size_is_that_of_what_comes_out(scene: Scene) -> None:

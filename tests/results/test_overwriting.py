@@ -83,7 +83,8 @@ def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.Mon
     scene = load_scene(tmp_path / "press" / "scene.toml")
     (tmp_path / "notes.h5").write_bytes(b"years of work")
     monkeypatch.setattr("fingerflow.pipeline.run._run", lambda *_: pytest.fail("frames were read"))
-    for output in (tmp_path / "notes.h5", tmp_path / "press" / "forces.csv", tmp_path / "press" / "frames.npy"):
+    inputs = [tmp_path / "press" / name for name in ("forces.csv", "frames.npy", "empty.npy", "scene.toml")]
+    for output in (tmp_path / "notes.h5", *inputs):
         before = output.read_bytes()
         with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):
             process(scene, to=output)

@@ -69,6 +69,13 @@ def read(path: Path) -> tuple[list[str], np.ndarray]:
     return names, np.genfromtxt(path, delimiter=",", skip_header=1)
 
 
+def test_a_row_a_frame(result: xr.Dataset, tmp_path: Path) -> None:
+    export_table(result, tmp_path / "frames.csv")
+    names, rows = read(tmp_path / "frames.csv")
+    assert names == ["frame", "time (s)", "real_contact_area (mm2)"]
+    np.testing.assert_allclose(rows[:, 2], result["real_contact_area"], rtol=1e-8)
+
+
 def test_a_row_a_point(result: xr.Dataset, tmp_path: Path) -> None:
     export_table(result, tmp_path / "points.csv", "point")
     names, rows = read(tmp_path / "points.csv")
@@ -184,6 +191,7 @@ def test_a_map_as_a_table(result: xr.Dataset, tmp_path: Path) -> None:
             lambda result, folder: export_table(result, folder / "a.csv", "point", ["real_contact_area"]),
             "each of frame",
         ),
+        (lambda result, folder: export_table(result, folder / "a.xlsx"), r"\.xlsx"),
         (lambda result, folder: export_table(result, folder / "a.mat", "point"), r"a\.mat: a \.mat file holds"),
         (lambda result, folder: export_map(result, folder / "a.tif", "curl"), "no curl.*process -v curl"),
         (lambda result, folder: export_map(result, folder / "a.tif", "real_contact_area"), "each of frame"),

@@ -84,7 +84,7 @@ def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None
     ("module", "name", "value", "trial", "changes"),
     [
         ("points", "UPDATE_PX", 0.4, "press", {"position_px"}),
-        ("template_update", "FASTEST_PX", 0.01, "press", {"position_px"}),
+        ("points", "FASTEST_PX", 0.01, "press", {"position_px"}),
         ("motion", "SPEED_WEIGHT", 0.2, "slide", {"position_px", "status"}),
         ("recovery", "ROUNDS", 0, "slide", {"position_px", "status"}),
         ("verification", "_NOISE", -3.0, "slide", {"position_px", "status"}),

@@ -19,7 +19,7 @@ from fingerflow.schema.variables import TRACK_STATUS
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.verification import STEP, Verification
-from fingerflow.tracker.windows import correlation, deformed_alike
+from fingerflow.tracker.windows import Centred, correlation_of, deformed_alike
 
 Array = NDArray[Any]
 Make = Callable[[EngineSettings], Engine]
@@ -65,6 +65,11 @@ def warps(gradient: Array, count: int) -> Array:
 UNMOVED = np.zeros((2, 2), np.float32)
 
 
+def correlation(one: Array, other: Array) -> Array:
+    """(N,) of windows (N, m)."""
+    return correlation_of(Centred.of(one), Centred.of(other))
+
+
 def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) -> None:
     """Without noise what cubic convolution leaves of waves of 15 px; with it 1 - correlation is sigma^2 / S."""
     engine = make_engine(SETTINGS)
@@ -85,14 +90,19 @@ def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) ->
         np.testing.assert_allclose(correlation(one, 3 * one - 20), 1, atol=1e-5)
 
 
-def test_a_blank_window_is_alike_to_nothing() -> None:
-    assert np.isnan(correlation(np.ones((2, 9), np.float32), np.arange(18.0).reshape(2, 9))).all()
+def test_correlation_is_that_of_numpy_and_unknown_for_a_blank_window() -> None:
+    one, other = np.random.default_rng(0).normal(100, 20, (2, 30, 81)).astype(np.float32)
+    expected = [np.corrcoef(*pair)[0, 1] for pair in zip(one, other, strict=True)]
+    np.testing.assert_allclose(correlation(one, other), expected, rtol=0, atol=1e-5)
+    assert np.isnan(correlation(one, np.full_like(one, 3.0))).all()
 
 
 def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
-    """From none to that of the skin, to 0.01 in each number: what noise of 0 leaves of four rounds."""
+    """From none to that of the skin, to 0.01 in each number: what noise of 0 leaves of four rounds. A window beyond the
+    picture keeps the deformation it had."""
     engine = make_engine(SETTINGS)
     then, now = points(GRADIENT, (0.0, 0.0))
+    now[7] = (3, 3)
     number, straight = np.zeros(len(then), np.int64), warps(UNMOVED, len(then))
     first = engine.windows(engine.images(picture(UNMOVED, (0, 0), 0.0, 1)), number, then, straight, STEP)
     after = engine.images(picture(GRADIENT, (0.0, 0.0), 0.0, 2))
@@ -102,6 +112,7 @@ def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
         return found
 
     found = run_alone(deformed_alike(first, sample, number, now, straight, WINDOW, STEP))
+    assert np.array_equal(found[7], STRAIGHT)
     near = np.abs(found - STRAIGHT - GRADIENT).max((1, 2))
     assert float(np.quantile(near, 0.9)) < 0.01
 

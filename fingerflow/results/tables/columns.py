@@ -8,8 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-
-_PARTS = ("xy", "axis", "strain_component", "shear_component", "principal")  # dimensions with one column a component
+from fingerflow.schema.variables import LABELS
 
 
 class Table(NamedTuple):
@@ -75,7 +74,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
-        return of_it in dims or (of_it[:-1] in dims and of_it[-1] in _PARTS)
+        return of_it in dims or (of_it[:-1] in dims and of_it[-1] in LABELS)
 
     for name in result.data_vars if variables is None else variables:
         if name not in result:
@@ -93,7 +92,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
     """Return the columns of a variable by names with units, one for each component."""
     units = values.attrs["units"]
-    if values.dims[-1] not in _PARTS:
+    if values.dims[-1] not in LABELS:
         return {f"{values.name} ({units})": values.values}
     parts = values[values.dims[-1]].values
     return {f"{values.name}_{part} ({units})": values.values[..., k] for k, part in enumerate(parts)}

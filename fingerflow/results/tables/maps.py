@@ -11,10 +11,10 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.tables.columns import Table
+from fingerflow.schema.variables import LABELS
 
 ORIGIN = "the first pixel is at"  # identifies a file of maps
 _MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
-_PARTS = ("xy", "strain_component", "shear_component", "principal")
 
 
 class Maps(NamedTuple):
@@ -69,7 +69,7 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
     given = result[variable]
     dims = tuple(map(str, given.dims))
     of, parts = dims[:2], dims[2:]
-    if of not in (("frame", "point"), ("frame", "triangle")) or len(parts) > 1 or (parts and parts[0] not in _PARTS):
+    if of not in (("frame", "point"), ("frame", "triangle")) or len(parts) > 1 or (parts and parts[0] not in LABELS):
         raise FingerflowError(
             f"{variable} has a value for each of {', '.join(dims)}; a map is of what has one for each point or triangle"
         )

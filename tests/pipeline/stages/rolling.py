@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 from torch import Tensor
 
-from fingerflow.synthetic import Slide
+from fingerflow.synthetic import Slide, write_recording
 from fingerflow.synthetic.motion import Ellipse, SlideMotion
 
 
@@ -39,3 +40,15 @@ class Rolling(Slide):
     @cached_property
     def motion(self) -> RollingMotion:
         return RollingMotion(Ellipse(self.contact_centre, self.semi_axes, self.tilt), (1.0, 0.0), 0.0, self.travel, 1.0)
+
+
+def write_rolling(folder: Path, trial: Rolling) -> Path:
+    """Writes a recording without the region of a stream, which holds all skin that will touch: `process` looks itself.
+
+    Returns its folder.
+    """
+    write_recording(folder, trial)
+    lines = (folder / "scene.toml").read_text(encoding="utf-8").splitlines()
+    text = "\n".join(one for one in lines if not one.startswith("region = "))
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    return folder

@@ -1,10 +1,14 @@
 """Stages without a recording: results of earlier ones are given, as arrays."""
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
@@ -16,6 +20,28 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.results.store import MemoryStore
+
+
+def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyframe") -> Inputs:
+    """Settings alone: views with one scale, without a recording."""
+    scene = SimpleNamespace(
+        fields=SimpleNamespace(
+            reference="onset",
+            gauge_length_mm=1.6,
+            strain=strain,
+            young_modulus_mpa=1.0,
+            poisson_ratio=0.4,
+            depth_mm=2.0,
+            rate_window_s=0.05,
+        ),
+        forces=None,
+        recording=SimpleNamespace(first_frame=0),
+        tracking=SimpleNamespace(template=template, direction="forward", window_px=25),
+        calibration=SimpleNamespace(mm_per_px=mm_per_px, topography_to_contact=np.eye(2, 3)),
+    )
+    cpu = torch.device("cpu")
+    engine = engine_for("auto", EngineSettings(gauge_length_mm=1.6, strain=strain), cpu)
+    return Inputs(cast(Any, scene), cast(Any, None), np.arange(frames) / 300, cpu, [], engine)
 
 
 def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> RunContext:

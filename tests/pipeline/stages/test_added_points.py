@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.io
 import xarray as xr
 
 from bench.contact_grid import skin_in_contact
@@ -12,10 +11,9 @@ from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.results.result import load_result
-from fingerflow.results.tables import export_table
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
-from fingerflow.synthetic import write_recording
-from tests.pipeline.stages.rolling import Rolling
+from tests.pipeline.stages.rolling import Rolling, write_rolling
+from tests.small_trials import edit_scene
 
 ROLLING = Rolling(
     n_frames=20,
@@ -31,12 +29,7 @@ LAST, NOT_YET = ROLLING.n_frames - 1, TRACK_STATUS.index("not_chosen_yet")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without the region of a stream, which holds all skin that will touch."""
-    path: Path = tmp_path_factory.mktemp("added") / "rolling"
-    write_recording(path, ROLLING)
-    lines = (path / "scene.toml").read_text(encoding="utf-8").splitlines()
-    text = "\n".join(one for one in lines if not one.startswith("region = "))
-    (path / "scene.toml").write_text(text, encoding="utf-8")
+    path = write_rolling(tmp_path_factory.mktemp("added") / "rolling", ROLLING)
     process(path / "scene.toml", to=path / "result.h5").close()
     return path
 
@@ -44,13 +37,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(folder: Path) -> xr.Dataset:
     return load_result(folder / "result.h5")
-
-
-def changed(folder: Path, old: str, new: str) -> Path:
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    assert text.count(old) == 1, old
-    (folder / "changed.toml").write_text(text.replace(old, new), encoding="utf-8")
-    return folder / "changed.toml"
 
 
 def added_that_touch(result: xr.Dataset, first: int) -> np.ndarray:
@@ -106,7 +92,7 @@ def test_displacement_counts_from_their_own_onset(result: xr.Dataset) -> None:
 
 def test_backward(folder: Path) -> None:
     """Points of the last frame, followed back; added is what has left the contact since, which touched at the start."""
-    result = process(changed(folder, 'direction = "forward"', 'direction = "backward"'))
+    result = process(edit_scene(folder, {'direction = "forward"': 'direction = "backward"'}, "backward.toml"))
     status = result["status"].values
     assert (status[LAST] == NOT_YET).sum() > 20
     points = added_that_touch(result, LAST)
@@ -115,49 +101,15 @@ def test_backward(folder: Path) -> None:
     assert_displacement_since_onset(result, points)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("gauge_length_mm = 1.6", "gauge_length_mm = 1.2"), ('strain = "green_lagrange"', 'strain = "infinitesimal"')],
-)
-def test_again_from_a_result(folder: Path, result: xr.Dataset, old: str, new: str) -> None:
+def test_again_from_a_result(folder: Path, result: xr.Dataset) -> None:
     """Bit for bit what a fresh run gives, and not what the earlier one gave."""
-    scene = load_scene(changed(folder, old, new))
+    scene = load_scene(edit_scene(folder, {"gauge_length_mm = 1.6": "gauge_length_mm = 1.2"}, "gauge.toml"))
     fresh, again = process(scene), process(scene, earlier=folder / "result.h5")
     for name in fresh.data_vars:
         assert again[name].values.tobytes() == fresh[name].values.tobytes(), name
     np.testing.assert_array_equal(again["position"].values, result["position"].values)
     before = result["median_strain"].values
     assert (np.isfinite(before) & (again["median_strain"].values != before)).any()
-
-
-def test_matlab(result: xr.Dataset, tmp_path: Path) -> None:
-    """Indices from 1; 0 for points that never touch and for those of which nobody knows since when."""
-    export_table(result, tmp_path / "result.mat")
-    found = scipy.io.loadmat(tmp_path / "result.mat", squeeze_me=True)
-    onset, entry = result["onset_frame"].values, result["entry"].values
-    np.testing.assert_array_equal(found["onset_frame"], np.where(onset < 0, 0, onset + 1))
-    assert (found["onset_frame"][entry == ENTRY.index("chosen_inside")] == 0).all()
-    np.testing.assert_array_equal(found["status"], result["status"].values)
-    for point in added_that_touch(result, 0)[:5]:
-        frame = found["onset_frame"][point] - 1
-        there = found["position"][frame, point] - found["displacement"][frame, point]
-        np.testing.assert_allclose(there, result["reference_position"].values[point], atol=1e-12)
-    assert found["triangles"].min() >= 1
-    assert found["triangles"].max() <= result.sizes["point"]
-
-
-def test_tracks(result: xr.Dataset, tmp_path: Path) -> None:
-    """A track of an added point begins in the frame in which it was chosen."""
-    export_table(result, tmp_path / "tracks.csv", rows="track")
-    rows = np.genfromtxt(tmp_path / "tracks.csv", delimiter=",", names=True)
-    pixels = result["position_px"].values
-    assert len(rows) == np.isfinite(pixels).all(-1).sum()
-    for point in added_that_touch(result, 0)[:5]:
-        own = rows[rows["track_id"] == point]
-        chosen = int(np.argmax(result["status"].values[:, point] != NOT_YET))
-        assert chosen > 0
-        assert own["t"][0] == chosen
-        np.testing.assert_allclose((own["x"][0], own["y"][0]), pixels[chosen, point], rtol=1e-6)
 
 
 def test_points_are_wanted_as_far_upstream_as_skin_comes_from() -> None:

@@ -1,47 +1,14 @@
 """A uniform field in its parts: divergence, curl and shears, principal strains, and what no rigid motion explains."""
 
-from types import SimpleNamespace
-from typing import Any, cast
-
 import numpy as np
-import torch
-from stages_alone import run, trial_of, values_of
+from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.engines.choice import engine_for
-from fingerflow.engines.engine import EngineSettings
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
 from fingerflow.pipeline.stages.fields.fields import FieldsStage
-from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.strain.strain import StrainStage
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
 FRAMES, SCALE = 4, 0.03
-
-
-def inputs() -> Inputs:
-    fields = SimpleNamespace(
-        reference="onset", gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4,
-        depth_mm=2.0, rate_window_s=0.05,
-    )  # fmt: skip
-    scene = SimpleNamespace(
-        fields=fields,
-        forces=None,
-        recording=SimpleNamespace(first_frame=0),
-        contact=SimpleNamespace(median_px=3, gross_radius_px=8),
-        tracking=SimpleNamespace(
-            template="keyframe",
-            direction="forward",
-            window_px=25,
-            gain_offset=True,
-            forward_backward_limit_px=1.0,
-            search_px=8,
-            min_distance_px=6.0,
-        ),
-        calibration=SimpleNamespace(mm_per_px=SCALE, topography_to_contact=np.eye(2, 3)),
-    )
-    settings = EngineSettings(gauge_length_mm=scene.fields.gauge_length_mm, strain=scene.fields.strain)
-    engine = engine_for("auto", settings, torch.device("cpu"))
-    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [], engine)
 
 
 def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:
@@ -63,7 +30,7 @@ def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:
         "ellipse_semi_axes": np.full((FRAMES, 2), 1.5),
         "ellipse_angle": np.zeros(FRAMES),
     }
-    trial = trial_of(inputs(), contact, FRAMES, **given)
+    trial = trial_of(inputs_of(FRAMES, SCALE, "infinitesimal"), contact, FRAMES, **given)
     trial.asked = frozenset(names)
     run(trial, DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
     return {name: values_of(trial, name)[-1] for name in names}

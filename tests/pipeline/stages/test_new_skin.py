@@ -12,11 +12,8 @@ from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.tracking.new_skin import NewSkin
-from fingerflow.results.result import open_result
-from fingerflow.results.store import FileStore, MemoryStore
-from fingerflow.schema.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
-from fingerflow.synthetic import write_recording
-from tests.pipeline.stages.rolling import Rolling
+from fingerflow.schema.variables import ENTRY, TRACK_STATUS
+from tests.pipeline.stages.rolling import Rolling, write_rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
 NOT_YET = TRACK_STATUS.index("not_chosen_yet")
@@ -24,13 +21,7 @@ NOT_YET = TRACK_STATUS.index("not_chosen_yet")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without the region of a stream, which holds all skin that will touch: `process` looks for itself."""
-    path: Path = tmp_path_factory.mktemp("rolling") / "rolling"
-    write_recording(path, ROLLING)
-    scene = path / "scene.toml"
-    lines = scene.read_text(encoding="utf-8").splitlines()
-    scene.write_text("\n".join(one for one in lines if not one.startswith("region = ")), encoding="utf-8")
-    return path
+    return write_rolling(tmp_path_factory.mktemp("rolling") / "rolling", ROLLING)
 
 
 @pytest.fixture(scope="module")
@@ -118,30 +109,6 @@ def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
     assert (distance[may] > far).all()
 
 
-def test_the_same_in_a_file(folder: Path, result: xr.Dataset) -> None:
-    path = folder / "result.h5"
-    process(load_scene(folder / "scene.toml"), to=path)
-    with open_result(path) as stored:
-        for name in result.data_vars:
-            np.testing.assert_array_equal(stored[name].values, result[name].values, err_msg=str(name))
-
-
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_results_grow_by_points(kind: str, tmp_path: Path) -> None:
-    known = by_name(TRACKING)
-    store = MemoryStore(known, 20) if kind == "memory" else FileStore(known, 20, tmp_path / "grown.h5")
-    for name in ("position", "status"):
-        store.create(name, point=4)
-    store["position"][np.arange(20)] = np.ones((20, 4, 2))
-    store.grow("point", 7, {"status": NOT_YET})
-    position, status = store["position"][slice(0, 20)], store["status"][slice(0, 20)]
-    assert (position[:, :4] == 1).all()
-    assert np.isnan(position[:, 4:]).all()
-    assert (status[:, :4] == 0).all()
-    assert (status[:, 4:] == NOT_YET).all()
-    assert store.create("in_contact").shape == (20, 7)
-
-
 @pytest.mark.parametrize("backward", [False, True])
 def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
     """Skin that moves as a whole has lain, at the first choice, where its place then less the motion is: exactly."""
@@ -154,5 +121,5 @@ def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
     position = np.where((status == NOT_YET)[..., None], np.nan, moved)
     found = common_frame(position, status, 8 if backward else 0, backward)
     np.testing.assert_allclose(found.places, places, atol=1e-12)
-    assert (found.chosen[40:] == 4).all()
+    assert (found.seeded[40:] == 4).all()
     assert found.later.sum() == 20

@@ -1,6 +1,6 @@
 """Regions drawn in the views: their pixels, what counts as contact, where points are chosen, and what is refused."""
 
-import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,6 +18,7 @@ from fingerflow.player.scene import load_scene as load_stream
 from fingerflow.player.scene import stream_settings
 from fingerflow.schema.region import ellipse_runs, polygon_runs
 from fingerflow.schema.scene import Scene
+from tests.small_trials import warnings_of
 
 POINTS = "points = 700"
 CONTACT, TOPOGRAPHY = "[views.contact]", "[views.topography]"
@@ -32,23 +33,11 @@ def mask_of(runs: Any, shape: tuple[int, int]) -> np.ndarray:
 
 
 @pytest.fixture
-def drawn(press: Path, tmp_path: Path) -> Any:
-    """The press with a region: ``drawn("views.contact", "polygon = [...]")``; the stream's rectangle is left out."""
+def drawn(changed: Callable[..., Scene]) -> Callable[..., Scene]:
+    """The press with a region: ``drawn("[views.contact]", "polygon = [...]")``; the stream's rectangle is left out."""
 
-    def draw(table: str, region: str, **replaced: str) -> Path:
-        text = (press / "scene.toml").read_text(encoding="utf-8")
-        for name in press.iterdir():
-            text = text.replace(f'"{name.name}"', f'"{name.as_posix()}"')
-        head, _, stream = text.partition("[stream]")
-        assert stream
-        if table:
-            assert head.count(table) == 1
-            head = head.replace(table, f"{table}\nregion = {{{region}}}")
-        for old, new in replaced.items():
-            head = head.replace(f"{old} = 700", new)
-        path = tmp_path / "scene.toml"
-        path.write_text(head, encoding="utf-8")
-        return path
+    def draw(table: str, region: str, replaced: dict[str, str] | None = None) -> Scene:
+        return changed({table: f"{table}\nregion = {{{region}}}", **(replaced or {})}, stream=False)
 
     return draw
 
@@ -83,66 +72,65 @@ def test_an_ellipse_holds_the_pixels_whose_centres_it_holds(angle: float) -> Non
     np.testing.assert_array_equal(found, expected)
 
 
-def test_contact_counts_inside_its_region_alone(press: Path, drawn: Any) -> None:
+def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], drawn: Callable[..., Scene]) -> None:
     """Two halves add up to the whole: to 2 %, what the median of 3 x 3 px makes of ridges that the border cuts."""
-    height, width = load_scene(press / "scene.toml").views.contact.shape
+    fixed = {'threshold = "reference_frame"': "threshold = 0.25"}
+    scene = changed(fixed)
+    height, width = scene.views.contact.shape
     middle = width / 2 + 0.5
     names = ["real_contact_area"]
-    whole = process(drawn("", ""), names)["real_contact_area"].values
+    whole = process(scene, names)["real_contact_area"].values
     halves = []
     for first, end in ((0, middle), (middle, width)):
         corners = [[first, 0], [end, 0], [end, height], [first, height]]
-        path = drawn(CONTACT, f"polygon = {corners}")
-        path.write_text(path.read_text().replace('threshold = "reference_frame"', "threshold = 0.25"))
-        halves.append(process(path, names)["real_contact_area"].values)
-    path = drawn("", "")
-    path.write_text(path.read_text().replace('threshold = "reference_frame"', "threshold = 0.25"))
-    whole = process(path, names)["real_contact_area"].values
+        half = drawn(CONTACT, f"polygon = {corners}", fixed)
+        halves.append(process(half, names)["real_contact_area"].values)
     assert min(half[-1] for half in halves) > 0.2 * whole[-1]
     np.testing.assert_allclose(halves[0] + halves[1], whole, rtol=0.02, atol=1e-3)
 
 
-def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Any) -> None:
-    path = drawn(TOPOGRAPHY, "ellipse = {center = [60, 48], semi_axes = [30, 22], angle = 0.4}", points="points = 60")
-    scene = load_scene(path)
+def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Callable[..., Scene]) -> None:
+    ellipse = "ellipse = {center = [60, 48], semi_axes = [30, 22], angle = 0.4}"
+    scene = drawn(TOPOGRAPHY, ellipse, {POINTS: "points = 60"})
     mask = region_mask(scene, "topography")
     assert mask is not None
     bundle = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
-    np.testing.assert_array_equal(stream_settings(load_stream(path), cast(Any, bundle)).region, mask)
+    np.testing.assert_array_equal(stream_settings(load_stream(scene.path), cast(Any, bundle)).region, mask)
     result = process(scene, ["position_px"])
     x, y = result["position_px"].values[0].round().astype(int).T
     assert len(x) > 20
     assert mask[y, x].all()
 
 
-def test_points_lie_evenly_over_the_region(drawn: Any) -> None:
+def test_points_lie_evenly_over_the_region(drawn: Callable[..., Scene]) -> None:
     """Mean distance to the nearest point over that of as many points by chance (Clark & Evans 1954): 1 for chance, 2.15
     for a lattice of triangles, below 1 for clusters. The strongest corners of ridges alone: about 1.
     """
     region = "polygon = [[22, 20], [98, 20], [98, 76], [22, 76]]"
-    result = process(drawn(TOPOGRAPHY, region, points="points = 40"), ["position_px"])
+    result = process(drawn(TOPOGRAPHY, region, {POINTS: "points = 40"}), ["position_px"])
     points = result["position_px"].values[0]
     assert len(points) == 40
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + 1e9 * np.eye(len(points))
     assert apart.min(1).mean() / (0.5 / np.sqrt(len(points) / (76 * 56))) > 1.3
 
 
-def test_fewer_points_than_asked_are_explained(drawn: Any) -> None:
-    path = drawn(TOPOGRAPHY, "polygon = [[40, 30], [70, 30], [70, 60], [40, 60]]")
-    (said,) = [one for one in json.loads(process(path, ["position_px"]).attrs["warnings"]) if "were found" in one]
+def test_fewer_points_than_asked_are_explained(drawn: Callable[..., Scene]) -> None:
+    said = warnings_of(
+        process(drawn(TOPOGRAPHY, "polygon = [[40, 30], [70, 30], [70, 60], [40, 60]]"), ["position_px"])
+    )
     assert "of 700 points were found: the region of 900 px has room for some 25 that lie 6 px apart" in said
     (noise,) = plausibility.of_points(40, 100, 6.0, 9000)
     assert "40 of 100 points were found: the region of 9000 px has room for 250, but no more corners stand out" in noise
 
 
-def test_a_picture_is_a_region(drawn: Any, tmp_path: Path) -> None:
-    scene = load_scene(drawn("", ""))
+def test_a_picture_is_a_region(press: Path, drawn: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = load_scene(press / "scene.toml")
     assert region_mask(scene, "contact") is None
     shape = scene.views.contact.shape
     picture = np.zeros(shape, np.uint8)
     picture[10:30, 20:50] = 255
     cv2.imwrite(str(tmp_path / "mask.png"), picture)
-    scene = load_scene(drawn(CONTACT, 'mask = "mask.png"'))
+    scene = drawn(CONTACT, 'mask = "mask.png"')
     found = region_mask(scene, "contact")
     assert found is not None
     np.testing.assert_array_equal(found, picture > 0)
@@ -155,31 +143,26 @@ def _message(scene: Scene, name: str) -> str:
     return str(error.value)
 
 
-def test_regions_that_hold_nothing_or_do_not_fit_are_refused(drawn: Any, tmp_path: Path) -> None:
-    outside = load_scene(drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]"))
+def test_regions_that_hold_nothing_or_do_not_fit_are_refused(drawn: Callable[..., Scene], tmp_path: Path) -> None:
+    outside = drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]")
     assert "views.contact.region holds no pixel of the view of" in _message(outside, "contact")
     cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
-    small = load_scene(drawn(CONTACT, 'mask = "mask.png"'))
+    small = drawn(CONTACT, 'mask = "mask.png"')
     assert "mask.png has 7 x 9 px, the view" in _message(small, "contact")
     (tmp_path / "mask.png").write_bytes(b"no picture")
     assert "mask.png is no picture that can be read; save it as PNG" in _message(small, "contact")
     with pytest.raises(FingerflowError, match=r"other\.png does not exist"):
-        load_scene(drawn(CONTACT, 'mask = "other.png"'))
+        drawn(CONTACT, 'mask = "other.png"')
 
 
-def test_a_stream_refuses_what_its_graphs_cannot_do(drawn: Any, tmp_path: Path) -> None:
+def test_a_stream_refuses_what_its_graphs_cannot_do(drawn: Callable[..., Scene], tmp_path: Path) -> None:
     with pytest.raises(PlayerError, match=r"views\.contact\.region is of `fingerflow process`.*rows and columns"):
-        load_stream(drawn(CONTACT, "polygon = [[0, 0], [90, 0], [90, 90]]"))
+        load_stream(drawn(CONTACT, "polygon = [[0, 0], [90, 0], [90, 90]]").path)
     cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
     with pytest.raises(PlayerError, match=r"views\.topography\.region is a picture.*polygon or an ellipse"):
-        load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"'))
+        load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"').path)
 
 
-def test_one_region_for_points(press: Path, tmp_path: Path) -> None:
-    text = (press / "scene.toml").read_text(encoding="utf-8")
-    for name in press.iterdir():
-        text = text.replace(f'"{name.name}"', f'"{name.as_posix()}"')
-    text = text.replace(TOPOGRAPHY, f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}")
-    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+def test_one_region_for_points(changed: Callable[..., Scene]) -> None:
     with pytest.raises(FingerflowError, match=r"both say where points are chosen"):
-        load_scene(tmp_path / "scene.toml")
+        changed({TOPOGRAPHY: f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}"})

@@ -26,6 +26,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.views import View
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+from tests.small_trials import scene_beside, write_small_slip
 
 NAMES = ("abrupt", "fading")
 
@@ -157,21 +158,11 @@ def test_a_scene_that_is_about_slip_gives_it_unasked(slip_trials: Path) -> None:
     assert "stuck_ratio" in process(short)
 
 
-def changed(folder: Path, new: Path, **arrays: NDArray[Any]) -> Scene:
-    """The scene with other frames or forces."""
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
-        text = text.replace(f'"{name}"', f'"{(folder / name).as_posix()}"')
-    for name, values in arrays.items():
-        if name == "frames":
-            np.save(new / "frames.npy", values)
-            text = text.replace(f'"{(folder / "frames.npy").as_posix()}"', '"frames.npy"')
-        else:
-            header = (folder / "forces.csv").read_text(encoding="utf-8").splitlines()[0]
-            np.savetxt(new / "forces.csv", values, fmt="%.6f", delimiter=",", header=header, comments="")
-            text = text.replace(f'"{(folder / "forces.csv").as_posix()}"', '"forces.csv"')
-    (new / "scene.toml").write_text(text, encoding="utf-8")
-    return load_scene(new / "scene.toml")
+def with_forces(folder: Path, new: Path, forces: NDArray[Any]) -> Scene:
+    """The scene with other forces."""
+    header = (folder / "forces.csv").read_text(encoding="utf-8").splitlines()[0]
+    np.savetxt(new / "forces.csv", forces, fmt="%.6f", delimiter=",", header=header, comments="")
+    return scene_beside(folder, new, {(folder / "forces.csv").as_posix(): "forces.csv"})
 
 
 def reason_of(scene: Scene) -> str:
@@ -189,22 +180,18 @@ def test_without_forces_the_stuck_part_is_there_and_no_verdict(slip_trials: Path
     assert np.abs(result["stuck_ratio"].values - shares(slip_trials / "abrupt")).max() < 0.04
 
 
-def test_without_a_tangential_channel(slip_trials: Path) -> None:
+@pytest.mark.parametrize(
+    ("part", "setting", "reason"),
+    [("forces", {"tangential": None}, "[forces] tangential"), ("recording", {"last_frame": 70}, "no full slip")],
+)
+def test_settings_without_a_verdict(part: str, setting: dict[str, Any], reason: str, slip_trials: Path) -> None:
     scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    assert scene.forces is not None
-    forces = replace(scene.forces, tangential=None)
-    assert "[forces] tangential" in reason_of(replace(scene, forces=forces))
-
-
-def test_no_full_slip(slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    recording = replace(scene.recording, last_frame=70)
-    assert "no full slip" in reason_of(replace(scene, recording=recording))
+    assert reason in reason_of(replace(scene, **{part: replace(getattr(scene, part), **setting)}))
 
 
 def test_forces_that_end_before_the_loss(slip_trials: Path, tmp_path: Path) -> None:
     forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    scene = changed(slip_trials / "abrupt", tmp_path, forces=forces[forces[:, 0] < 1.0])
+    scene = with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.0])
     result = process(scene, ["stuck_ratio"])
     assert np.isnan(result["load_ratio"].values[-30:]).all()
     assert np.isfinite(result["stuck_ratio"].values).all()
@@ -213,26 +200,21 @@ def test_forces_that_end_before_the_loss(slip_trials: Path, tmp_path: Path) -> N
 
 def test_forces_that_end_after_the_loss_are_enough(slip_trials: Path, tmp_path: Path) -> None:
     forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    result = process(changed(slip_trials / "abrupt", tmp_path, forces=forces[forces[:, 0] < 1.6]), ["stuck_ratio"])
+    result = process(with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.6]), ["stuck_ratio"])
     assert np.isnan(result["load_ratio"].values[-1])
     assert verdict_of(result)["outcome"] == "vanishes abruptly"
 
 
-def test_a_load_that_swings(slip_trials: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("swing", "sign", "reason"), [(0.2, 1, "too unsteady"), (0.0, -1, "sign")])
+def test_forces_without_a_verdict(swing: float, sign: int, reason: str, slip_trials: Path, tmp_path: Path) -> None:
     forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    forces[:, 2] *= 1 + 0.2 * np.sin(2 * np.pi * 4 * forces[:, 0])
-    assert "too unsteady" in reason_of(changed(slip_trials / "abrupt", tmp_path, forces=forces))
-
-
-def test_the_wrong_sign_of_a_force(slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    forces[:, 2] *= -1
-    assert "sign" in reason_of(changed(slip_trials / "abrupt", tmp_path, forces=forces))
+    forces[:, 2] *= sign * (1 + swing * np.sin(2 * np.pi * 4 * forces[:, 0]))
+    assert reason in reason_of(with_forces(slip_trials / "abrupt", tmp_path, forces))
 
 
 def test_no_contact(slip_trials: Path, tmp_path: Path) -> None:
     empty = np.stack([rebuild_scene(slip_trials / "abrupt").empty(number) for number in range(20)])
-    scene = changed(slip_trials / "abrupt", tmp_path, frames=empty)
+    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=empty)
     with pytest.raises(FingerflowError, match="no finger is in view"):
         process(scene, ["stuck_ratio"])
     contact = replace(scene.contact, threshold=0.3)
@@ -244,7 +226,7 @@ def test_no_contact(slip_trials: Path, tmp_path: Path) -> None:
 def test_contact_that_comes_later_is_no_reference(slip_trials: Path, tmp_path: Path) -> None:
     frames = np.load(slip_trials / "abrupt" / "frames.npy")[:40].copy()
     frames[:3, :, 240:] = rebuild_scene(slip_trials / "abrupt").empty()[:, 240:]
-    assert "first frame" in reason_of(changed(slip_trials / "abrupt", tmp_path, frames=frames))
+    assert "first frame" in reason_of(scene_beside(slip_trials / "abrupt", tmp_path, frames=frames))
 
 
 def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
@@ -286,14 +268,7 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
 
 def small(folder: Path, **settings: Any) -> Path:
     """A trial as `slip_trials` has them, 60 frames, with other settings."""
-    usual: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45}
-    timing: dict[str, Any] = {"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3, "travel": 0.8}
-    write_recording(folder, PartialSlip(**(usual | timing | settings)))
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
-        text = text.replace(old, new)
-    (folder / "scene.toml").write_text(text.split("[stream]")[0], encoding="utf-8")
-    return folder
+    return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
 
 
 def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
@@ -477,7 +452,9 @@ def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, res
     """By a fifth over the trial: d^2 to 0.03."""
     frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
     frames *= np.linspace(1, 0.8, len(frames), dtype=np.float32)[:, None, None]
-    faded = process(changed(slip_trials / "abrupt", tmp_path, frames=np.rint(frames).astype(np.uint8)), ["stuck_ratio"])
+    faded = process(
+        scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(frames).astype(np.uint8)), ["stuck_ratio"]
+    )
     assert verdict_of(faded)["outcome"] == "vanishes abruptly"
     assert np.nanmax(np.abs(faded["stuck_ratio"].values - results["abrupt"]["stuck_ratio"].values)) < 0.03
 
@@ -570,6 +547,6 @@ def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path:
     frames = np.load(slip_trials / "abrupt" / "frames.npy")
     noisy = frames.astype(np.float64)
     noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))
-    scene = changed(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
+    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
     warnings = warnings_of(process(scene, ["stuck_ratio"]))
     assert any("where the stuck part ends is not known" in warning for warning in warnings)

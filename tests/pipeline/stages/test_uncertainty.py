@@ -6,17 +6,14 @@ uncertain by. What the same estimators say of the
 exact positions and times is the truth, so that smoothing is no part of the error.
 """
 
-from types import SimpleNamespace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from stages_alone import run, trial_of, values_of
+from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.engines.choice import engine_for
-from fingerflow.engines.engine import EngineSettings
 from fingerflow.graphs.fields import Fields
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
@@ -47,33 +44,7 @@ MOTIONS = {
 
 
 def inputs(template: str = "keyframe") -> Inputs:
-    scene = SimpleNamespace(
-        fields=SimpleNamespace(
-            reference="onset",
-            gauge_length_mm=1.6,
-            strain="green_lagrange",
-            young_modulus_mpa=1.0,
-            poisson_ratio=0.4,
-            depth_mm=2.0,
-            rate_window_s=0.05,
-        ),
-        forces=None,
-        recording=SimpleNamespace(first_frame=0),
-        contact=SimpleNamespace(median_px=3, gross_radius_px=8),
-        tracking=SimpleNamespace(
-            template=template,
-            direction="forward",
-            window_px=WINDOW_PX,
-            gain_offset=True,
-            forward_backward_limit_px=1.0,
-            search_px=8,
-            min_distance_px=6.0,
-        ),
-        calibration=SimpleNamespace(mm_per_px=MM_PER_PX, topography_to_contact=np.eye(2, 3)),
-    )
-    settings = EngineSettings(gauge_length_mm=scene.fields.gauge_length_mm, strain=scene.fields.strain)
-    engine = engine_for("auto", settings, torch.device("cpu"))
-    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [], engine)
+    return inputs_of(FRAMES, MM_PER_PX, "green_lagrange", template)
 
 
 def contact() -> dict[str, NDArray[np.float64]]:

@@ -129,17 +129,13 @@ class ContactStage(Stage):
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
-    def largest(self) -> Tensor:
-        """Return the gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
-        return self._region_of(self.reference_frame)
-
     def largest_and_first(self, window_px: int) -> Tensor:
         """Return the gross region (1, 1, h, w) bool of the reference frame, extended by that of the first frame.
 
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
         has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self.largest(), self._region_of(int(np.argmax(self._usable)))
+        largest, first = self._region_of(self.reference_frame), self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
@@ -149,7 +145,7 @@ class ContactStage(Stage):
         sides of the contact border.
         """
         first = int(np.argmax(self._usable))
-        return dilate(self._region_of(first) | self.largest(), margin_px)
+        return dilate(self._region_of(first) | self._region_of(self.reference_frame), margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))

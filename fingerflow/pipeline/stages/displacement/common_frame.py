@@ -21,12 +21,12 @@ class CommonFrame(NamedTuple):
         places: (N, 2) mm. For a point seeded later: its position then, less the displacement of the points around it
             since the first seeding. These are coordinates of the skin extrapolated beyond the region that was seen.
             Gradients between two later frames, F(t) F(s)^-1, do not depend on them.
-        chosen: (N,) frame in which each point was seeded.
+        seeded: (N,) frame in which each point was seeded.
         later: (N,) bool, True for points seeded after the first seeding.
     """
 
     places: Points
-    chosen: NDArray[np.intp]
+    seeded: NDArray[np.intp]
     later: NDArray[np.bool_]
 
 
@@ -41,23 +41,23 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     """
     places = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
     later = status[slice(first, first + 1)][0] == TrackStatus.NOT_CHOSEN_YET
-    chosen = np.full(len(places), first)
+    seeded = np.full(len(places), first)
     if not later.any():
-        return CommonFrame(places, chosen, later)
-    chosen[later] = _choices(status, np.flatnonzero(later), backward)
-    for frame in sorted(set(chosen[later].tolist()), reverse=backward):
-        now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (chosen == frame))
-        earlier = np.flatnonzero(np.isfinite(places + now).all(1) & (chosen != frame))
+        return CommonFrame(places, seeded, later)
+    seeded[later] = _seedings(status, np.flatnonzero(later), backward)
+    for frame in sorted(set(seeded[later].tolist()), reverse=backward):
+        now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (seeded == frame))
+        earlier = np.flatnonzero(np.isfinite(places + now).all(1) & (seeded != frame))
         if not len(earlier):
             continue
         distance, near = cKDTree(now[earlier]).query(now[new], k=np.arange(1, min(_NEIGHBOURS, len(earlier)) + 1))
         weight = 1 / np.maximum(distance, 1e-6) ** 2
         moved = ((now - places)[earlier][near] * weight[..., None]).sum(1) / weight.sum(1, keepdims=True)
         places[new] = now[new] - moved
-    return CommonFrame(places, chosen, later)
+    return CommonFrame(places, seeded, later)
 
 
-def _choices(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
+def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
     """Return the frames (L,) in which these points were seeded.
 
     That is the first frame in which they are tracked, or the last one for backward tracking.

@@ -56,6 +56,7 @@ class DisplacementStage(Stage):
         by_onsets: True if points count from their own onsets.
         places: (N, 2) mm, `CommonFrame.places`; only set by onsets.
         last: the last usable frame.
+        some_later: True if points were seeded later, where skin came into contact; only set by onsets.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame of the touch that lasts; -1 for none, and for points that were seeded inside the
             contact. By onsets it is also -1 for points that were lost then, as a later frame would be taken for the
@@ -83,6 +84,7 @@ class DisplacementStage(Stage):
     by_onsets: bool
     places: Points
     last: int
+    some_later: bool
     begins: NDArray[np.int32]
     onset: NDArray[np.int32]
     reference: Points
@@ -92,7 +94,7 @@ class DisplacementStage(Stage):
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
-        self._scale = self.inputs.topography_mm_per_px
+        self.mm_per_px = self.inputs.topography_mm_per_px  # of the topographic view
         self._template = self.inputs.scene.tracking.template
         self._vector = np.full((len(trial), 2), np.nan)
         self._fixed: _Fixed | None = None  # points in the reference frame, None for onsets
@@ -106,8 +108,8 @@ class DisplacementStage(Stage):
         points = self.results["position"].shape[1]
         # All points are known in the frame in which they are seeded, the first one that is tracked.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
-        chosen, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
+        first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
+        self._common = common_frame(self.results["position"], self.results["status"], first, backward)
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._border = Border.of(self.trial.stage(ContactStage).series)
@@ -116,7 +118,7 @@ class DisplacementStage(Stage):
         if self.by_onsets:
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
-            self.places = self._common.places
+            self.places, self.some_later = self._common.places, bool(self._common.later.any())
             moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
         else:
             self.of_onset = np.zeros((points, 2, 2))
@@ -147,19 +149,9 @@ class DisplacementStage(Stage):
         self.results.put("global_displacement_vector", self._vector, self._attributes)
         self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
 
-    @property
-    def chosen_later(self) -> NDArray[np.bool_]:
-        """Return which points (N,) were seeded later, where skin came into contact."""
-        return self._common.later
-
-    @property
-    def mm_per_px(self) -> float:
-        """Return the scale of the topographic view."""
-        return self._scale
-
     def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of a component of the position in these frames, against the templates."""
-        variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self._scale)) ** 2
+        variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self.mm_per_px)) ** 2
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
@@ -182,7 +174,7 @@ class DisplacementStage(Stage):
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
-        self._inside = self._common.later & (touch.first == self._common.chosen)
+        self._inside = self._common.later & (touch.first == self._common.seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.place, touch.first_place)
@@ -235,7 +227,7 @@ class DisplacementStage(Stage):
             touching = Touching(place, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.place, out=touching.place)
         noise = self._noise(variance, touching)
-        noise *= np.float32(self._scale**2)
+        noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return Moved(moved, noise)
 
@@ -292,7 +284,7 @@ class DisplacementStage(Stage):
         step = place[1] - place[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
         # The square of a measured speed is too large by the speed's variance, from those of the two positions.
-        errors = self._scale * at_frames(self.results["position_std_px"], every % frames)
+        errors = self.mm_per_px * at_frames(self.results["position_std_px"], every % frames)
         noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)

@@ -43,8 +43,9 @@ class FieldsStage(Stage):
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self.inputs.gauge_length_mm}
 
     def begin(self) -> None:
-        self._reference = self.trial.stage(DisplacementStage).reference.astype(np.float32)
-        self._gauge |= self.trial.stage(DisplacementStage).since.attributes(self.inputs.scene.recording.first_frame)
+        moved = self.trial.stage(DisplacementStage)
+        self._reference = moved.reference.astype(np.float32)
+        self._gauge |= moved.since.attributes(self.inputs.scene.recording.first_frame)
         self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
         for name in self._given:
             self.results.create(name, self._gauge)
@@ -52,10 +53,7 @@ class FieldsStage(Stage):
             self.results.create("rigid_residual")
         minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
-        points = self.trial.stage(DisplacementStage).reference
-        self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
-
-        moved = self.trial.stage(DisplacementStage)
+        self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, moved.reference, widest))
         self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
         self._entry = None
         if len(moved.entered):
@@ -95,7 +93,6 @@ class FieldsStage(Stage):
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
         among[:, displacement.entered] = True
-        assert since.covariance is not None
         gradient, covariance = (
             np.full((*among.shape, *one.shape[2:]), np.nan, np.float32) for one in (since.gradient, since.covariance)
         )

@@ -148,11 +148,12 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
     if not len(recording):
         raise FingerflowError(f"{settings.frames} has no frame; copy it again, or name another recording")
-    if settings.first_frame >= len(recording):
-        raise FingerflowError(
-            f"{scene.path}: recording.first_frame is {settings.first_frame}, but {settings.frames} has "
-            f"{len(recording)} frames, 0 to {len(recording) - 1}"
-        )
+    for name in ("first_frame", "trigger_frame"):
+        if (number := getattr(settings, name)) is not None and number >= len(recording):
+            raise FingerflowError(
+                f"{scene.path}: recording.{name} is {number}, but {settings.frames} has {len(recording)} frames, 0 to "
+                f"{len(recording) - 1}"
+            )
     warnings = list(recording.warnings)
     if settings.last_frame is not None and settings.last_frame >= len(recording):
         warnings.append(
@@ -165,11 +166,6 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
         )
     times = np.asarray(recording.times, dtype=np.float64)
     if settings.trigger_frame is not None:
-        if settings.trigger_frame >= len(recording):
-            raise FingerflowError(
-                f"{scene.path}: recording.trigger_frame is {settings.trigger_frame}, but {settings.frames} has "
-                f"{len(recording)} frames, 0 to {len(recording) - 1}"
-            )
         times = times - times[settings.trigger_frame]
     frame_asked(scene, times[settings.first_frame : end])  # raises for a wrong reference before anything is computed
     recording = recording[settings.first_frame : end]

@@ -10,8 +10,6 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene import Scene
 
-_VALUES = 1  # least grey level of a mask image at which a pixel belongs to the region
-
 
 def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
     """Return the mask (h, w) of a view, True in its region; None where the scene defines none.
@@ -37,7 +35,7 @@ def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
                 f"{place}: {path} has {picture.shape[0]} x {picture.shape[1]} px, the view {view.shape[0]} x "
                 f"{view.shape[1]}; draw it on the view, pixel by pixel"
             )
-        mask = picture >= _VALUES
+        mask = picture > 0
     if not mask.any():
         raise FingerflowError(
             f"{place} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px; its px are counted from the "

@@ -12,16 +12,9 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     ordered = np.array(np.moveaxis(values, 1, -1), order="C")
     ordered.sort(axis=-1)  # NaN last
     known = (~np.isnan(ordered)).sum(-1)
-    first = np.arange(0, ordered.size, ordered.shape[-1]).reshape(known.shape)
-    return _middle(ordered.ravel(), first, known)
-
-
-def _middle(
-    ordered: NDArray[np.floating], first: NDArray[np.integer], known: NDArray[np.integer]
-) -> NDArray[np.float64]:
-    """Return medians of sorted runs in `ordered`: run i starts at `first[i]` and has `known[i]` numbers."""
-    last = len(ordered) - 1  # an empty run may start beyond it
-    low, high = (ordered[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
+    first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(known.shape), ordered.ravel()
+    last = len(flat) - 1  # where nothing is known, the rank may lie beyond it
+    low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
     result: NDArray[np.float64] = np.where(known > 0, (low + high) / 2, np.nan).astype(np.float64)
     return result
 

@@ -94,7 +94,7 @@ class SlipStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.slip
-        self._ratio, self._coverage, self._annulus, self._direction, self._speed = np.full((5, len(trial)), np.nan)
+        self._ratio, self._coverage, self._direction, self._speed = np.full((4, len(trial)), np.nan)
         self._incipient = np.full((3, len(trial)), np.nan)
         self._deviation = np.full(len(trial), np.nan)  # mm, of a component of a displacement
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view

@@ -15,8 +15,7 @@ from fingerflow.ops.filters.morphology import dilate
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.schema.variables import CONTACT
+from fingerflow.pipeline.stages.stage import Batch, RunContext
 
 CELL_PX = 4
 _LOOKS = 32  # sampled frames; the one with the largest change of light sets the threshold
@@ -46,15 +45,8 @@ class MarkerContactStage(ContactStage):
     settings = ("contact.threshold", "views.contact", "calibration.mm_per_px")
 
     def __init__(self, trial: RunContext) -> None:
-        Stage.__init__(self, trial)
-        self._view = self.inputs.scene.views.contact
+        super().__init__(trial)
         self.cell_px = CELL_PX
-        frames = len(trial)
-        self.series = {
-            variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
-            for variable in CONTACT
-            if variable.name != "gross_contact_region" and variable.formula is None
-        }
 
     def begin(self) -> None:
         self._follow()

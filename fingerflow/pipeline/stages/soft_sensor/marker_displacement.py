@@ -41,7 +41,7 @@ class MarkerDisplacementStage(DisplacementStage):
         self._at_rest = (self.results["position_std_px"][markers.rest_frame : markers.rest_frame + 1][0]) ** 2
         variance = self.results["position_std_px"][:] ** 2
         known = np.isfinite(variance)
-        self.noise = np.where(known, variance, 0).sum(0) / np.maximum(known.sum(0), 1) * self._scale**2
+        self.noise = np.where(known, variance, 0).sum(0) / np.maximum(known.sum(0), 1) * self.mm_per_px**2
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
         self.entered, self.by_onsets = np.zeros(0, dtype=np.intp), False
         self.results.put("entry", (self.onset >= 0).astype(np.uint8))
@@ -54,7 +54,7 @@ class MarkerDisplacementStage(DisplacementStage):
     def step(self, batch: Batch) -> Moved:
         displacement = self.results["position"][batch.indices] - self.reference
         variance = self.results["position_std_px"][batch.indices] ** 2 + self._at_rest
-        variance = np.where(np.isfinite(displacement).all(-1), variance * self._scale**2, np.nan).astype(np.float32)
+        variance = np.where(np.isfinite(displacement).all(-1), variance * self.mm_per_px**2, np.nan).astype(np.float32)
         self.results["displacement"][batch.indices] = displacement
         self.results["displacement_std"][batch.indices] = np.sqrt(variance)
         self._vector[batch.indices] = nanmedian(displacement)

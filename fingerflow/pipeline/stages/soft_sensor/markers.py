@@ -45,7 +45,6 @@ class MarkerStage(Stage):
         spacing: of the markers, px.
         points: (frames, N, 2) px, NaN where the status is not TRACKED.
         covariance: (frames, N, 2, 2) px^2.
-        disagreement: (frames, N) px between the positions that two scales give.
         status: (frames, N) `TrackStatus`.
     """
 
@@ -66,7 +65,6 @@ class MarkerStage(Stage):
     spacing: float
     points: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    disagreement: NDArray[np.float64]
     status: NDArray[np.uint8]
 
     def __init__(self, trial: RunContext) -> None:
@@ -176,22 +174,19 @@ class MarkerStage(Stage):
         shape = numbers.shape
         points = torch.full((*shape, 2), torch.nan, dtype=torch.float64)
         covariance = torch.full((*shape, 2, 2), torch.nan, dtype=torch.float64)
-        disagreement = torch.full(shape, torch.nan, dtype=torch.float64)
         status = torch.full(shape, TrackStatus.NO_TEXTURE, dtype=torch.uint8)
         for frame, (seen, number) in enumerate(zip(self._seen, numbers, strict=True)):
             mine = number >= 0
             points[frame, mine] = seen.points[number[mine]]
             covariance[frame, mine] = seen.covariance[number[mine]]
-            disagreement[frame, mine] = seen.disagreement[number[mine]]
-            status[frame, mine] = TrackStatus.TRACKED
-            status[frame, mine & (disagreement[frame] > self._limit)] = TrackStatus.MISMATCH
+            unsure = seen.disagreement[number[mine]] > self._limit
+            status[frame, mine] = torch.where(unsure, TrackStatus.MISMATCH, TrackStatus.TRACKED).to(torch.uint8)
             status[frame, mine & _torn(points[frame] - reference, ties)] = TrackStatus.OFF_NEIGHBOURS
             expected = torch.where(mine[:, None], points[frame], _with_nearest(reference, points[frame]))
             status[frame, self._cut(expected)] = TrackStatus.LEFT_FRAME
         lost = status != TrackStatus.TRACKED
         points[lost], covariance[lost] = torch.nan, torch.nan
-        self.points, self.covariance = points.numpy(), covariance.numpy()
-        self.disagreement, self.status = disagreement.numpy(), status.numpy()
+        self.points, self.covariance, self.status = points.numpy(), covariance.numpy(), status.numpy()
 
     def _cut(self, points: Tensor) -> Tensor:
         """Return whether the border of the view cuts a marker at each position (N,), so that its centre is hidden."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError
 
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved, at_frames
-from fingerflow.pipeline.stages.strain.entered_skin import EntryTriangles, entry_triangles, triangulate
 from fingerflow.results.store import Store
 from fingerflow.tracker.entry import LEAST_AREA
 
@@ -36,19 +36,15 @@ class CountedSkin:
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, places = stage.reference.copy(), stage.reference_px.copy()
         reference[stage.entered] = places[stage.entered] = np.nan
-        plain, found = triangulate(reference), self._of_entered()
-        begins = onset[plain].max(1, initial=0)
+        plain, separate = _triangulate(reference), self._of_entered()
         if stage.by_onsets:
-            apart = self._collapsed(plain, begins, reference)
-            found = EntryTriangles(
-                np.concatenate([plain[apart], found.corners]), np.concatenate([begins[apart], found.begins])
-            )
-            plain, begins = plain[~apart], begins[~apart]
-        self._points, since = found.corners.flatten(), np.repeat(found.begins, 3)  # of the separate corners
+            apart = self._collapsed(plain, onset[plain].max(1, initial=0), reference)
+            plain, separate = plain[~apart], np.concatenate([plain[apart], separate])
+        self.triangles = np.concatenate([plain, separate])
+        self.begins = onset[self.triangles].max(1, initial=0)
+        self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)  # of the separate corners
         own = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
-        self.triangles = np.concatenate([plain, found.corners])
         self.corners = np.concatenate([plain, own])
-        self.begins = np.concatenate([begins, found.begins])
         self.since = np.concatenate([stage.begins, since])
         self._since = since
 
@@ -62,14 +58,15 @@ class CountedSkin:
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
-    def _of_entered(self) -> EntryTriangles:
+    def _of_entered(self) -> NDArray[np.int32]:
+        """Return the Delaunay triangles (M, 3) with advected points, by positions of the points that have touched."""
         stage = self._stage
         if not len(stage.entered):
-            return EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
+            return np.zeros((0, 3), np.int32)
         # Skin that came later may have left since: the last frame does not show all of it.
-        some_later = stage.chosen_later.any()
-        places = stage.places if some_later else self._position[slice(stage.last, stage.last + 1)][0]
-        return entry_triangles(stage.entered, places, stage.onset)
+        places = stage.places if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
+        triangles = _triangulate(np.where((stage.onset >= 0)[:, None], places, np.nan))
+        return triangles[np.isin(triangles, stage.entered).any(1)]
 
     def _collapsed(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
@@ -104,3 +101,14 @@ class CountedSkin:
         )
         added = (noise[..., None, None] * np.eye(2)).astype(np.float32)
         return np.concatenate([moved.displacement, own], axis=1), np.concatenate([covariance, added], axis=1)
+
+
+def _triangulate(places: Points) -> NDArray[np.int32]:
+    """Return Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
+    finite = np.flatnonzero(np.isfinite(places).all(-1)).astype(np.int32)
+    if len(finite) < 3:
+        return np.zeros((0, 3), dtype=np.int32)
+    try:
+        return np.asarray(finite[Delaunay(places[finite]).simplices])
+    except QhullError:  # all on one line
+        return np.zeros((0, 3), dtype=np.int32)

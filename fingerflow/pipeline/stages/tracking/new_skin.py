@@ -27,13 +27,13 @@ class Known(NamedTuple):
         place: (N, 2) px of the topographic view, measured or expected position.
         start: (N, 2) px, position in its key frame.
         tracked: (N,) bool.
-        choice: (N,) indices of the `NewSkin.searched` regions in which the points were seeded.
+        seeding: (N,) indices of the `NewSkin.searched` regions in which the points were seeded.
     """
 
     place: Points
     start: Points
     tracked: Mask
-    choice: NDArray[np.integer]
+    seeding: NDArray[np.integer]
 
 
 class NewSkin:
@@ -155,7 +155,7 @@ class NewSkin:
         height, width = self.searched[0].shape
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
         regions = np.stack(self.searched)
-        had = regions[known.choice[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
+        had = regions[known.seeding[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
         result: Mask = ~(inside & had)
         return result
 

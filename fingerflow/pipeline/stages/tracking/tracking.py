@@ -26,7 +26,7 @@ from fingerflow.tracker.motion import PointMotion
 from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
-MOST_CHOSEN = 3  # times `tracking.points`: largest number of points seeded in a recording
+MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
 
 
 class TrackingStage(Stage):
@@ -60,7 +60,7 @@ class TrackingStage(Stage):
         self._settings = inputs.scene.tracking
         self._engine = inputs.engine
         self._matrix = inputs.topography_to_contact.astype(np.float32)
-        self._chosen: list[Points] = []
+        self._seeded: list[Points] = []
         self._around: list[NDArray[np.intp]] = []  # of each set: indices (A,) of earlier points that guide it
         self._density = 0.0  # points per px of the first seeding region
         self._new_skin: NewSkin | None = None
@@ -109,28 +109,28 @@ class TrackingStage(Stage):
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
         """Skip unusable frames: the expected positions of points move on with their speed."""
-        if not self._chosen:
+        if not self._seeded:
             self._skipped.extend(indices)
             return
         self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
-        for points in self._chosen:
+        for points in self._seeded:
             points.pass_over(len(indices))
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
         every: list[FoundPoints] = []
-        if not self._chosen:
-            first = self._choose(images[:1], margin[:1])
+        if not self._seeded:
+            first = self._seed(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
-            rest = [(yield from self._chosen[0].follow(images[1:]))] if len(images) > 1 else []
+            rest = [(yield from self._seeded[0].follow(images[1:]))] if len(images) > 1 else []
             every.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
         else:
-            for points, numbers in zip(self._chosen, self._around, strict=True):
+            for points, numbers in zip(self._seeded, self._around, strict=True):
                 around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
                 every.append((yield from points.follow(images, around)))
         found = beside(every)
         before, last = found.status.shape[1], len(images) - 1
-        new = self._choose_new(images[last:], margin[last], found.of(slice(last, None)))
+        new = self._seed_new(images[last:], margin[last], found.of(slice(last, None)))
         if new is not None:
             found = beside([found, _in_last_of(len(images), new)])
         pixels, error, status = found.points, found.error, found.status
@@ -162,10 +162,10 @@ class TrackingStage(Stage):
             if "point" in variable.dims:
                 self.results.create(variable.name, point=points)
 
-    def _choose(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
+    def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the points in the first frame."""
         where = self._where()
-        points = self._engine.detect(self._view_for_choice(image), where, self._settings.points)
+        points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
         if len(points) < 3:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
@@ -179,54 +179,54 @@ class TrackingStage(Stage):
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
-        return self._add(Points(*(self._engine, image, points), **self._how()), np.zeros(0, np.intp))
+        return self._add(image, points, np.zeros(0, np.intp))
 
-    def _how(self) -> dict[str, Any]:
-        return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
+    def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
+        """Add points seeded in an image, guided by earlier points of indices `numbers`; return them (1, N) there.
 
-    def _add(self, points: Points, numbers: NDArray[np.intp]) -> FoundPoints:
-        """Add seeded points, guided by earlier points of indices `numbers`; return them (1, N) in this frame."""
-        self._chosen.append(points)
+        `more` are the positions of the earlier points, and the motion of the new ones.
+        """
+        template, knowledge = self._settings.template, self.inputs.knowledge
+        self._seeded.append(Points(self._engine, image, points, *more, template=template, knowledge=knowledge))
         self._around.append(numbers)
-        return points.as_seeded
+        return self._seeded[-1].as_seeded
 
-    def _view_for_choice(self, image: Images) -> Images:
+    def _view_for_seeding(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
-    def _choose_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
+    def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
         """Return points seeded in new skin of an image (1, 1, h, w), or None; `found` (1, N) holds the other points."""
         if self._full:
             return None
         assert self._new_skin is not None
-        place = np.concatenate([one.expect(0) for one in self._chosen])
-        start = np.concatenate([one.start for one in self._chosen])
+        place = np.concatenate([one.expect(0) for one in self._seeded])
+        start = np.concatenate([one.start for one in self._seeded])
         total, tracked = len(place), found.status[0] == TrackStatus.TRACKED
-        choice = np.repeat(np.arange(len(self._chosen)), [len(one) for one in self._chosen])
-        region = self._new_skin.region(margin[0], Known(place, start, tracked, choice))
+        seeding = np.repeat(np.arange(len(self._seeded)), [len(one) for one in self._seeded])
+        region = self._new_skin.region(margin[0], Known(place, start, tracked, seeding))
         if region is None:
             return None
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
             region &= drawn
-        wanted = min(round(self._density * float(region.sum())), MOST_CHOSEN * self._settings.points - total)
+        wanted = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
         if wanted < 1:
             return None
-        points = self._engine.detect(self._view_for_choice(image), region, wanted)
+        points = self._engine.detect(self._view_for_seeding(image), region, wanted)
         if not len(points) or not self._make_room(total, len(points)):
             return None
         apart, _ = cKDTree(points).query(place)
         near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
-        new = Points(self._engine, image, points, found.points[0, near], motion=every.seeded(points), **self._how())
-        return self._add(new, near)
+        every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._seeded), strict=True)))
+        return self._add(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
-        if points + more == MOST_CHOSEN * self._settings.points:
-            why = f"{points + more} points, {MOST_CHOSEN} times tracking.points, have been chosen"
+        if points + more == MOST_SEEDED * self._settings.points:
+            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been chosen"
         try:
             self.results.check_room(size_of_results(given, len(self.trial), more))
         except NoRoomError as error:
@@ -276,9 +276,9 @@ class TrackingStage(Stage):
         return region > 0
 
 
-def _in_last_of(frames: int, chosen: FoundPoints) -> FoundPoints:
+def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
     """Return points that are seeded (1, N) in the last of so many frames as values in all of these frames."""
-    before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in chosen))
+    before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
     before.status[:-1] = TrackStatus.NOT_CHOSEN_YET
