@@ -19,7 +19,6 @@ from bench.suites import (
     flow,
     flow_outliers,
     gpu,
-    growth,
     image_ops,
     interpolant,
     large_motion,
@@ -255,27 +254,6 @@ def test_skin_chain() -> None:
         assert "is not installed" in str(rows[way].get("left_out")) or number(rows[way], "error_um") < 0.05
     assert rows[skin_chain.PEER]["error_um"] is None
 
-
-def test_growth(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a clock that shows twice as much every time, the exponents are known."""
-
-    def by_size(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
-        assert peer in candidates
-        for call in candidates.values():
-            call()
-        clock.append(2 * clock[-1])
-        return {name: timing.Timing(clock[-1], clock[-1], clock[-1], 1.0) for name in candidates}
-
-    clock = [1.0]
-    threads = torch.get_num_threads()
-    monkeypatch.setattr(growth, "time_in_turns", by_size)
-    rows = growth.run(quick=True)
-    assert torch.get_num_threads() == threads
-    assert {row["grows"] for row in rows} == {"points", "window", "image", "threads", "frames"}
-    assert {row["way"] for row in rows} == {"opencv", "fingerflow"}
-    assert one(rows, grows="points", value="100", way="opencv")["exponent"] is None
-    assert one(rows, grows="points", value="400", way="opencv")["exponent"] == pytest.approx(0.5)  # twice for 4 times
-    assert one(rows, grows="frames", value="8", way="opencv")["exponent"] == pytest.approx(0)  # a frame's share
 
 
 def test_stated() -> None:
