@@ -2,11 +2,12 @@
 
 1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
 which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many
-names. A row every tenth of them: own_mb is the memory of the worker's own (anonymous pages), resident_mb counts pages
-of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
+names. A row every tenth of them: own_mb is the memory of the worker's own (resident and not shared), resident_mb counts
+pages of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
 with its standard error, and the same of the client, which holds the scheduler.
 """
 
+import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -15,7 +16,6 @@ from unittest.mock import patch
 import numpy as np
 import psutil
 
-from bench.peak_memory import STATUS, sizes_of
 from bench.rows import Cell, Row, Skipped, number
 from bench.suites.study import write_study
 from fingerflow.study.manifest import load_manifest
@@ -35,8 +35,8 @@ PRESS = Press(
 
 def run(quick: bool) -> list[Row]:
     """A row every tenth of the recordings, and the slope."""
-    if not STATUS.exists():
-        raise Skipped(f"memory is read from {STATUS}, which only Linux has")
+    if not sys.platform.startswith("linux"):
+        raise Skipped("what a process shares is known on Linux only")
     count = QUICK_RECORDINGS if quick else RECORDINGS
     with tempfile.TemporaryDirectory() as name, patch("fingerflow.study.cluster._RENEWED_AFTER", 10**9):
         folder = Path(name)
@@ -88,14 +88,18 @@ class _Watch(threading.Thread):
 
 
 def _looked_at(worker: psutil.Process, done: int) -> Row:
-    client = psutil.Process()
     return {
         "recordings": done,
-        "own_mb": sizes_of(worker.pid)["RssAnon"] / 1e6,
+        "own_mb": _own_mb(worker),
         "resident_mb": worker.memory_info().rss / 1e6,
-        "client_mb": sizes_of(client.pid)["RssAnon"] / 1e6,
+        "client_mb": _own_mb(psutil.Process()),
         "cpu_s": sum(worker.cpu_times()[:2]),
     }
+
+
+def _own_mb(process: psutil.Process) -> float:
+    memory = process.memory_info()
+    return float(memory.rss - memory.shared) / 1e6
 
 
 def _slopes(rows: list[Row]) -> Row:

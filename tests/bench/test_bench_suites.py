@@ -22,7 +22,6 @@ from bench.suites import (
     image_ops,
     interpolant,
     large_motion,
-    memory,
     pipeline,
     process_together,
     skin_chain,
@@ -270,21 +269,6 @@ def test_stated() -> None:
     assert number(energy, "of_contact") < 0.9
 
 
-def test_memory() -> None:
-    """The numbers of a process: torch alone has 100 MB. Growth over 40 frames is too little to be judged."""
-    short, long, *in_file = memory.run(quick=True)
-    assert [row["to"] for row in (short, long, *in_file)] == ["memory", "memory", "file", "file"]
-    for row in (short, long, *in_file):
-        assert 100 < number(row, "peak_mb") < number(row, "resident_mb") < 2000
-        assert 0 < number(row, "result_bytes") < number(row, "frame_bytes") / 2
-    assert short["growth_bytes"] is None
-    assert long["growth_bytes"] is not None
-
-
-def test_memory_where_it_cannot_be_read_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(memory, "STATUS", tmp_path / "status")
-    with pytest.raises(Skipped, match="only Linux"):
-        memory.run(quick=True)
 
 
 def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
