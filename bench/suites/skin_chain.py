@@ -7,10 +7,7 @@ one press and 100 values of friction together, to rest; and one press to rest wi
 friction, and with it all stiffnesses). `time_to_peer` is the time over that of one press to rest. What runs once is CPU
 time of its process.
 
-- The published script runs element by element in MATLAB, this transcription is faster than that.
-- numba: the same Runge-Kutta element by element, compiled; CVODE: SUNDIALS' BDF with matrix-free GMRES on the same
-  right-hand side in NumPy, by scikit-sundae, at two tolerances. Each where it is installed, see `bench.chain_peers`;
-  where it is not, its row says so.
+The published script runs element by element in MATLAB, this transcription is faster than that.
 """
 
 import time
@@ -22,13 +19,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.chain_peers import cvode, numba_runge_kutta
-from bench.rows import Row, Skipped
+from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_chain import follow, press
 from fingerflow.models.skin_explicit import largest_step, march
-from fingerflow.models.skin_forces import Array, Chain
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import PARAMETERS
@@ -64,17 +59,9 @@ def run(quick: bool) -> list[Row]:
     for name, once in (
         (f"portable, {TOLERANCES[1]:g}", partial(_portable, partial(moved, TOLERANCES[1]))),
         ("published Runge-Kutta, NumPy", partial(_published, elements, duration)),
-        ("published Runge-Kutta, numba", partial(_by_numba, elements, duration)),
-        *((f"CVODE, GMRES, {rtol:g}", partial(_by_cvode, elements, duration, rtol)) for rtol in (1e-5, 1e-6)),
     ):
-        try:
-            if "numba" in name:
-                _by_numba(elements, 1e-5)  # compiles
-            start = time.process_time()
-            place = once()
-        except Skipped as reason:
-            rows.append({"way": name, "left_out": str(reason)})
-            continue
+        start = time.process_time()
+        place = once()
         ms = 1e3 * (time.process_time() - start)
         error = 1e6 * (place - exact).abs().max().item()
         rows.append({"way": name, "ms": ms, "time_to_peer": ms / peer_ms, "error_um": error})
@@ -87,25 +74,12 @@ def _portable(call: Callable[[], Tensor]) -> Tensor:
 
 
 def _published(elements: int, duration: float) -> Tensor:
-    chain, state, mu, load = _begun(elements)
-    march(chain, state, mu, load, duration, 0.8 * largest_step(chain))
-    return torch.from_numpy(state.place)
-
-
-def _by_numba(elements: int, duration: float) -> Tensor:
-    begun = _begun(elements)
-    return torch.from_numpy(numba_runge_kutta(*begun, duration, 0.8 * largest_step(begun[0])))
-
-
-def _by_cvode(elements: int, duration: float, rtol: float) -> Tensor:
-    return torch.from_numpy(cvode(*_begun(elements), duration, rtol))
-
-
-def _begun(elements: int) -> tuple[Chain, State, Array, Load]:
     chain = Chains.of(PARAMETERS["lab"], elements, torch.Size(())).single(0)
     state = State(chain.reference.copy(), np.zeros(2), np.zeros(elements))
     force = np.array([0.0, -LOAD_N])
-    return chain, state, np.full(elements, FRICTION), Load(force, force, np.zeros(2, dtype=bool))
+    load = Load(force, force, np.zeros(2, dtype=bool))
+    march(chain, state, np.full(elements, FRICTION), load, duration, 0.8 * largest_step(chain))
+    return torch.from_numpy(state.place)
 
 
 def _gradient(elements: int) -> tuple[Tensor, ...]:
