@@ -6,21 +6,33 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+
+from fingerflow.export import export_bundle
+
+_RECIPES = Path(__file__).parents[1] / "export"
 
 
 @contextmanager
 def exported(recipe: str) -> Iterator[Path]:
-    """The bundle of a recipe, given as the text of its file; it is gone afterwards."""
-    from fingerflow.export import export_bundle
-
+    """Yield the bundle of a recipe, given as the text of its file, and delete it afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recipe.toml"
         path.write_text(recipe, encoding="utf-8")
         export_bundle(path, Path(folder) / "bundle")
         yield Path(folder) / "bundle"
+
+
+@contextmanager
+def exported_recipes() -> Iterator[dict[str, Path]]:
+    """Yield the bundle of each recipe of `export/` by the recipe's name, and delete them afterwards."""
+    with ExitStack() as held:
+        yield {
+            path.stem: held.enter_context(exported(path.read_text(encoding="utf-8")))
+            for path in sorted(_RECIPES.glob("*.toml"))
+        }
 
 
 def play(

@@ -12,19 +12,17 @@ divergence to the truth, in the same unit; that of `process` stands in the first
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.rows import Row
-from bench.streams import exported, play
+from bench.streams import exported_recipes, play
 from fingerflow import load_scene, process
 from fingerflow.player import read_results
 from fingerflow.synthetic import Press, Slide, write_recording
 
-RECIPES = Path(__file__).parents[2] / "export"
 RUNS = (("native", None, 1), ("native", 100, 1), ("onnx", None, 1), ("onnx", None, 2), ("onnx", 30, 2))
 _LEAST_AREA = 5.0  # mm2
 _CLOCK = ("time", "latency")
@@ -35,9 +33,7 @@ def run(quick: bool) -> list[Row]:
     frames = 60 if quick else 300
     recordings: dict[str, Press | Slide] = {"press": Press(n_frames=frames), "slide": Slide(n_frames=frames)}
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as held:
-        recipes = sorted(RECIPES.glob("*.toml"))
-        bundles = {path.stem: held.enter_context(exported(path.read_text(encoding="utf-8"))) for path in recipes}
+    with tempfile.TemporaryDirectory() as folder, exported_recipes() as bundles:
         for name, recording in recordings.items():
             write_recording(Path(folder) / name, recording)
             scene = Path(folder) / name / "scene.toml"

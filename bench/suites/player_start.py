@@ -16,9 +16,7 @@ from pathlib import Path
 
 from bench.bare_environment import ONNX, make_environment, variables
 from bench.rows import Row, Skipped
-from bench.streams import exported
-
-RECIPES = Path(__file__).parents[2] / "export"
+from bench.streams import exported_recipes
 
 
 def run(quick: bool) -> list[Row]:
@@ -27,24 +25,23 @@ def run(quick: bool) -> list[Row]:
         raise Skipped("peak memory is read from /proc")
     starts, frames = (2, 20) if quick else (5, 1000)
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, exported_recipes() as bundles:
         python = make_environment(Path(folder) / "env", ONNX)
-        for path in sorted(RECIPES.glob("*.toml")):
-            with exported(path.read_text(encoding="utf-8")) as bundle:
-                for engine in ("native", "onnx"):
-                    homes = [Path(folder) / f"{path.stem}-{engine}-{n}" for n in range(starts)]
-                    played = [_played(python, bundle, engine, home, frames) for home in homes]
-                    rows.append(
-                        {
-                            "recipe": path.stem,
-                            "engine": engine,
-                            "first_start_s": played[0][0],
-                            "start_s": statistics.median(seconds for seconds, _ in played[1:]),
-                            "peak_mib": max(mib for _, mib in played),
-                            "starts": starts,
-                            "frames": frames,
-                        }
-                    )
+        for recipe, bundle in bundles.items():
+            for engine in ("native", "onnx"):
+                homes = [Path(folder) / f"{recipe}-{engine}-{n}" for n in range(starts)]
+                played = [_played(python, bundle, engine, home, frames) for home in homes]
+                rows.append(
+                    {
+                        "recipe": recipe,
+                        "engine": engine,
+                        "first_start_s": played[0][0],
+                        "start_s": statistics.median(seconds for seconds, _ in played[1:]),
+                        "peak_mib": max(mib for _, mib in played),
+                        "starts": starts,
+                        "frames": frames,
+                    }
+                )
     return rows
 
 
