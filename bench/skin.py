@@ -44,6 +44,12 @@ def photograph(clean: Tensor, noise: float, seed: int) -> Tensor:
     return noisy.round().clamp(0, 255).to(torch.uint8)
 
 
+def photograph_pair(shape: tuple[int, int], motion: Shift, noise: float, number: int) -> tuple[Tensor, Tensor]:
+    """Return photographs of the skin at rest and moved by ``motion`` px; pairs of another number have another noise."""
+    previous = photograph(clean_picture(shape, (0.0, 0.0)), noise, seed=2 * number)
+    return previous, photograph(clean_picture(shape, motion), noise, seed=2 * number + 1)
+
+
 def choose_points(shape: tuple[int, int], count: int, border: int) -> Tensor:
     """(1, N, 2) whole-pixel corners of the skin, N at most ``count``, at least ``border`` px inside the frame."""
     corners = detect_corners(clean_picture(shape, (0.0, 0.0)), count, 8.0, window=21, border=border)

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from bench.errors_of_tracks import error_cells, root_mean_square
 from bench.rows import Cell, Row, number
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, error_bound, photograph_pair
 from bench.timing import time_in_turns
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
@@ -74,8 +74,7 @@ def _rows(shape: tuple[int, int], noise: int, fraction: float, points: Tensor, q
         if noise == 0 and shift == 0:
             continue  # identical images: no error and no bound
         motion = (shift, 0.7 * shift)
-        previous = photograph(clean_picture(shape, (0.0, 0.0)), noise, seed=2 * case)
-        current = photograph(clean_picture(shape, motion), noise, seed=2 * case + 1)
+        previous, current = photograph_pair(shape, motion, noise, case)
         for name, interpolant in INTERPOLANTS.items():
             errors = (_track(interpolant, previous, current, points) - points[0] - torch.tensor(motion)).double()
             cells[name].append(error_cells(errors, torch.ones(len(errors), dtype=torch.bool), bound))

@@ -41,7 +41,7 @@ from bench.environment import describe
 from bench.errors_of_tracks import error_cells
 from bench.kornia_tracker import track_kornia
 from bench.rows import Row, number
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph, photograph_pair
 from bench.timing import Timing, time_in_turns
 from bench.trackers import Found, Tracker, follow_fingerflow, track_fingerflow, track_opencv
 from fingerflow.kernels import tensors as kernels
@@ -110,10 +110,11 @@ def write_pairs(path: str) -> None:
     """Write the pairs of frames for `bench.dic_codes`, with a grid of points (N, 2) and the bound (N,) px^2 of each."""
     pairs, (height, width) = _pairs(SHAPE), SHAPE
     grid = torch.cartesian_prod(*(torch.arange(30, size - 20, dic_codes.STEP) for size in (width, height)))[None]
+    previous, current = (torch.cat(frames)[:, 0].numpy() for frames in zip(*pairs.frames, strict=True))
     np.savez(
         path,
-        previous=torch.cat(pairs.previous)[:, 0].numpy(),
-        current=torch.cat(pairs.current)[:, 0].numpy(),
+        previous=previous,
+        current=current,
         moved=pairs.moved.numpy(),
         points=grid[0].numpy(),
         variance=error_bound(grid, NOISE, dic_codes.WINDOW).diagonal(dim1=1, dim2=2).mean(1).numpy(),
@@ -122,21 +123,21 @@ def write_pairs(path: str) -> None:
 
 
 class _Pairs(NamedTuple):
-    previous: list[Tensor]
-    current: list[Tensor]
+    """Pairs of frames, and how far (K, 1, 2) px the picture has moved from the one to the other."""
+
+    frames: list[tuple[Tensor, Tensor]]
     moved: Tensor
 
 
 def _pairs(shape: tuple[int, int]) -> _Pairs:
     motions = [(shift, 0.7 * shift) for shift in SHIFTS]
-    previous = [photograph(clean_picture(shape, (0.0, 0.0)), NOISE, seed=2 * n) for n in range(len(motions))]
-    current = [photograph(clean_picture(shape, m), NOISE, seed=2 * n + 1) for n, m in enumerate(motions)]
-    return _Pairs(previous, current, torch.tensor(motions)[:, None])
+    pairs = [photograph_pair(shape, motion, NOISE, number) for number, motion in enumerate(motions)]
+    return _Pairs(pairs, torch.tensor(motions)[:, None])
 
 
 def _of_pairs(track: Tracker, pairs: _Pairs, points: Tensor, window: int) -> Way:
-    found = [track(*pair, points, window) for pair in zip(pairs.previous, pairs.current, strict=True)]
-    call = partial(track, pairs.previous[1], pairs.current[1], points, window)
+    found = [track(*pair, points, window) for pair in pairs.frames]
+    call = partial(track, *pairs.frames[1], points, window)
     return Way(call, 1, found, pairs.moved, points)
 
 
