@@ -27,8 +27,8 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press
@@ -164,11 +164,10 @@ def _errors(result: xr.Dataset, press: Press, kept: NDArray[np.intp], jump: bool
     truth = press.truth
     position = result["position_px"].values
     gross = truth.gross_contact_area_mm2(press.n_frames - 1)
-    material = truth.material(truth.topography_positions(position[0]), 0)
     distances, areas, divergence = [], [], []
     for place in range(len(kept) - 1, 0, -5):
         frame = int(kept[place])
-        true = truth.topography_pixels(truth.positions(material, frame))
+        true = truth.follow(position[0], 0, frame)
         if jump and frame >= press.n_frames // 2:
             true = true + np.array([JUMP_PX, 0.0])
         distances.append(np.linalg.norm(position[place] - true, axis=-1))

@@ -13,17 +13,14 @@ differences between its elements (`models.skin_onset`), without splines or pictu
   changes by 40 um/mm within a mm: windows of 0.8 mm and a gauge of 1.6 mm do not follow that.
 """
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import processed
 from bench.rows import Row
-from bench.suites.pipeline import write_quietly
-from fingerflow import load_scene, process
 from fingerflow.report.beside_chain import INNER
 from fingerflow.report.beside_chain import inner_divergence as measured_inner
 from fingerflow.synthetic import ChainPress
@@ -59,10 +56,7 @@ def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arr
 
 
 def _row(press: ChainPress) -> Row:
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "press"
-        write_quietly(recording, press)
-        result = process(load_scene(recording / "scene.toml"), progress=False)
+    result = processed(press)
     row: dict[str, float] = {"friction": press.friction}
     for name, (measured, chain) in (
         ("inner", inner_divergence(press, result)),

@@ -16,8 +16,6 @@ last frame (what a gauge length flattens is in it); medians over the contact, RM
 - OpenCV's contact is convex by construction (its hull), as the true one is here; fingerflow does not assume it.
 """
 
-import contextlib
-import io
 import json
 import tempfile
 from collections.abc import Callable
@@ -28,20 +26,13 @@ from numpy.typing import NDArray
 
 from bench import opencv_pipeline
 from bench.opencv_pipeline import Measured, Rig
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow import load_scene, process
-from fingerflow.synthetic import Press, SyntheticScene, write_recording
+from fingerflow.synthetic import Press
 
 PRESS = Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3)
-QUICK_PRESS = Press(
-    n_frames=24,
-    frame_rate=24.0,
-    frames_before_trigger=1,
-    frame_shape=(224, 560),
-    finger=(3.6, 3.1),
-    semi_axes=(2.6, 2.2),
-)
 #: What fingerflow calls the fields of `Measured`.
 OUTPUTS = {
     "real_area": "real_contact_area",
@@ -83,12 +74,6 @@ def run(quick: bool) -> list[Row]:
         }
         for name in PIPELINES
     ]
-
-
-def write_quietly(folder: Path, scene: SyntheticScene) -> None:
-    """Writes the recording without a progress bar between the tables."""
-    with contextlib.redirect_stderr(io.StringIO()):
-        write_recording(folder, scene)
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

@@ -15,7 +15,6 @@ row; `rings` is that of the demo. Noise of 2 grey levels, default settings, erro
 - Gross truth is the ellipse in which skin may touch. Where a valley or a gap of the skin lies on it, nothing shows it.
 """
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +23,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import QUICK_PRESS, processed
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
-from fingerflow import load_scene, process
 from fingerflow.synthetic import FingerprintTexture, Press, SyntheticScene, scene_of_print
 
 FINGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "fingers"
@@ -48,14 +46,10 @@ Array = NDArray[np.float64]
 
 def run(quick: bool) -> list[Row]:
     """One row a skin."""
-    rows: list[Row] = []
-    for name, press in _presses(quick):
-        with tempfile.TemporaryDirectory() as folder:
-            recording = Path(folder) / "press"
-            write_quietly(recording, press)
-            result = process(load_scene(recording / "scene.toml"), OUTPUTS, progress=False)
-        rows.append({"skin": name, **errors(result, press, middle=5.0 if quick else 10.0)})
-    return rows
+    middle = 5.0 if quick else 10.0
+    return [
+        {"skin": name, **errors(processed(press, OUTPUTS), press, middle=middle)} for name, press in _presses(quick)
+    ]
 
 
 def _presses(quick: bool) -> Iterator[tuple[str, Press]]:

@@ -20,11 +20,11 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import torch
 
+from bench.environment import one_thread
+from bench.recordings import write_quietly
 from bench.rows import Row
 from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
-from bench.suites.pipeline import write_quietly
 from fingerflow import load_scene, process
 from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -84,19 +84,13 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
         return np.zeros(points.shape[1], dtype=bool)
         yield
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with one_thread():
         with patch.object(Verification, "check", timed):
             status = process(loaded, ["status"])["status"].values
         with patch.object(Verification, "check", trusting):
             position = process(loaded, ["position_px"])["position_px"].values
         found = _put_beside(*last[0])
-    finally:
-        torch.set_num_threads(threads)
-    truth = scene.truth
-    material = truth.material(truth.topography_positions(position[0]), 0)
-    true = np.stack([truth.topography_pixels(truth.positions(material, frame)) for frame in range(len(position))])
+    true = np.stack([scene.truth.follow(position[0], 0, frame) for frame in range(len(position))])
     if jump:
         true[scene.n_frames // 2 :, :, 0] += JUMP_PX
     error = np.linalg.norm(position - true, axis=-1)

@@ -34,14 +34,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
+from bench.environment import one_thread
 from bench.friction_bound import friction_bound
+from bench.recordings import write_quietly
 from bench.rows import Cell, Row, number
 from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import critical_stuck_area
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
-from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture, write_recording
+from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture
 
 SEEDS = range(100, 200)
 _ORDER = ("wrong", "none", "right")
@@ -87,16 +88,13 @@ def trial(seed: int) -> PartialSlip:
 def measured(seed: int) -> dict[str, Cell]:
     """The row of a trial, which is rendered and processed."""
     known = trial(seed)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder:
-        write_recording(Path(folder) / "trial", known)
+    with tempfile.TemporaryDirectory() as folder, one_thread():
+        write_quietly(Path(folder) / "trial", known)
         scene = load_scene(Path(folder) / "trial" / "scene.toml")
         tracking = replace(scene.tracking, points=600, window_px=17, min_distance_px=4.0)
         begun = time.process_time()
         result = process(replace(scene, tracking=tracking), ["stuck_ratio"], device="cpu")
         seconds = time.process_time() - begun
-    torch.set_num_threads(threads)
     share = np.array([known.stuck_share(frame) for frame in range(known.n_frames)])
     error = np.abs(result["stuck_ratio"].values - share)[share > 0]
     found = error[np.isfinite(error)]

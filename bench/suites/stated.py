@@ -15,10 +15,8 @@ the contact, once the pull has drawn skin in over the rear rim: of their medians
 entry. What the deviation takes of points that moved in was set on the first five; the others had no part in it.
 """
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,9 +24,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bench.contact_grid import energy_since_onset, skin_in_contact
+from bench.recordings import QUICK_PRESS, processed
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
-from fingerflow import process
 from fingerflow.synthetic import Press, RidgeTexture, Slide
 
 RATES, PRESSES = (40.0, 60.0, 300.0), 8  # Hz, of presses of a second
@@ -59,9 +56,7 @@ def run(quick: bool) -> list[Row]:
         found: dict[str, list[Compared]] = {name: [] for name in (*MEDIANS, "energy")}
         shares = []
         for press in presses:
-            with tempfile.TemporaryDirectory() as folder:
-                write_quietly(Path(folder) / "press", press)
-                result = process(Path(folder) / "press" / "scene.toml")
+            result = processed(press)
             for name in MEDIANS:
                 found[name].append(_median(result, press, name))
             energy, share = _energy(result, press)
@@ -80,9 +75,7 @@ def _of_slides(what: str, slides: list[Slide]) -> list[Row]:
         frames = np.arange(int(_FROM * slide.n_frames), slide.n_frames, _EVERY)
         each = [slide.truth.entry_gradient(skin_in_contact(slide, int(k), _STEP_MM), int(k)) for k in frames]
         x, y = random.uniform(-1.5, 1.5, 2)
-        with tempfile.TemporaryDirectory() as folder:
-            write_quietly(Path(folder) / "slide", replace(slide, texture=RidgeTexture(centre=(x, y))))
-            result = process(Path(folder) / "slide" / "scene.toml")
+        result = processed(replace(slide, texture=RidgeTexture(centre=(x, y))))
         for name in MEDIANS:
             true = np.array([np.nanmedian(_OF_GRADIENT[name](one)) for one in each])
             measured, stated = (result[f"median_{name}{end}"].values[frames] for end in ("", "_std"))

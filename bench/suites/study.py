@@ -31,8 +31,9 @@ import cv2
 import torch
 from distributed import LocalCluster
 
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row, number
-from bench.suites.pipeline import PIPELINES, QUICK_PRESS, write_quietly
+from bench.suites.pipeline import PIPELINES
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest

@@ -2,8 +2,8 @@
 
 1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
 which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many
-names. A row every tenth of them: own_mb is the memory of the worker's own (resident and not shared), resident_mb counts
-pages of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
+names. A row every tenth of them: own_mb is the worker's own memory (resident and not shared), resident_mb counts pages
+of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
 with its standard error, and the same of the client, which holds the scheduler.
 """
 

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from bench.environment import one_thread
 from bench.rows import Row, Skipped
 from fingerflow import process
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -37,16 +37,13 @@ def run(quick: bool) -> list[Row]:
 
 
 def _measured(clip: Path) -> Row:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder, open_recording(clip) as recording:
+    with tempfile.TemporaryDirectory() as folder, open_recording(clip) as recording, one_thread():
         scene = Path(folder) / "scene.toml"
         scene.write_text(gel_scene_text(clip.as_posix(), recording.frame_shape, 0.06), encoding="utf-8")
         begun = time.process_time()
         result = process(scene)
         seconds = time.process_time() - begun
         pictures = recording.read()
-    torch.set_num_threads(threads)
     near, count, off, height, width = [], [], 0, *pictures.shape[1:]
     for picture, points in zip(pictures, result["position_px"].values, strict=True):
         spots = dark_spots(picture)

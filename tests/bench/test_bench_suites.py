@@ -250,7 +250,6 @@ def test_skin_chain() -> None:
     assert rows[skin_chain.PEER]["error_um"] is None
 
 
-
 def test_stated() -> None:
     """At 24 frames/s, on a finger of a third of the size, far more is missing before the first frame of contact than in
     the full suite: 1.5 deviations of the divergence, which would be 5.7 by the errors of the points alone.
@@ -263,9 +262,6 @@ def test_stated() -> None:
     assert number(curl, "z_rms") < 3
     assert 0.3 < number(energy, "z_rms") < 2
     assert number(energy, "of_contact") < 0.9
-
-
-
 
 
 def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
