@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.recordings import write_quietly
 from bench.rows import Row
 from bench.streams import exported_recipes, play
 from fingerflow import load_scene, process
 from fingerflow.player import read_results
-from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic import Press, Slide
 
 RUNS = (("native", None, 1), ("native", 100, 1), ("onnx", None, 1), ("onnx", None, 2), ("onnx", 30, 2))
 _LEAST_AREA = 5.0  # mm2
@@ -29,13 +30,13 @@ _CLOCK = ("time", "latency")
 
 
 def run(quick: bool) -> list[Row]:
-    """A row for `process`, and five a recipe, of each recording."""
+    """Return a row for `process` and five per recipe, for each recording."""
     frames = 60 if quick else 300
     recordings: dict[str, Press | Slide] = {"press": Press(n_frames=frames), "slide": Slide(n_frames=frames)}
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder, exported_recipes() as bundles:
         for name, recording in recordings.items():
-            write_recording(Path(folder) / name, recording)
+            write_quietly(Path(folder) / name, recording)
             scene = Path(folder) / name / "scene.toml"
             rows += [
                 {"recording": name, **row} for row in _rows(scene, recording, bundles, Path(folder) / f"of-{name}")
@@ -78,7 +79,7 @@ def _rows(scene: Path, recording: Press | Slide, bundles: Mapping[str, Path], fo
 
 
 def _largest(differences: Any, counted: np.ndarray) -> float | None:
-    """None where one is not known that counts."""
+    """Return the largest of the counted differences, None where one of them is unknown."""
     return _known(np.abs(np.asarray(differences)[counted]).max())
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
 from fingerflow.schema.scene_keys import (
     SCENE,
@@ -189,7 +190,7 @@ def measurements_page() -> str:
             about = found["about"].partition("\n\n")[0].replace("\n", " ")
             lines += [f"### {path.stem}: {suite}", "", _cell(about), "", f"    python -m bench {suite}", ""]
             lines += _table(
-                [_cell(name) for name in columns], ([_number(row.get(name)) for name in columns] for row in rows)
+                [_cell(name) for name in columns], ([as_text(row.get(name)) for name in columns] for row in rows)
             )
     return "\n".join(lines)
 
@@ -198,14 +199,6 @@ def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Of a suite with a row for all shifts together, that one alone."""
     pooled = [row for row in rows if row.get("shift") == "all"]
     return pooled or rows
-
-
-def _number(cell: Any) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
 PAGES = {"outputs": outputs_page, "keys": keys_page, "measurements": measurements_page}
