@@ -25,7 +25,7 @@ _PACKAGES = (
 
 
 def share_cores() -> None:
-    """Gives OpenCV as many threads as torch has."""
+    """Give OpenCV as many threads as torch has."""
     cv2.setNumThreads(torch.get_num_threads())
 
 
@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 
 def describe() -> dict[str, dict[str, str | int | None]]:
-    """Machine, versions and threads of a run, and whether fingerflow's compiled kernels served in it."""
+    """Return machine, versions and threads of a run, and whether the compiled kernels are in use."""
     return {
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
@@ -55,7 +55,7 @@ def describe() -> dict[str, dict[str, str | int | None]]:
 
 
 def _processor() -> str:
-    """The model name, which Linux keeps elsewhere than Python looks."""
+    """Return the model name of the processor: on Linux from /proc/cpuinfo, which `platform` does not read."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

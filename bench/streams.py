@@ -1,4 +1,4 @@
-"""The player of a bundle as a program of its own, as a lab PC runs it."""
+"""The player of a bundle as a separate process, as a lab PC runs it."""
 
 import json
 import subprocess
@@ -43,11 +43,11 @@ def play(
     scene: Path | None = None,
     results: Path | None = None,
 ) -> dict[str, Any]:
-    """The summary of a stream of the synthetic source, or of the recording of a scene.
+    """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
     ``watch`` is called ten times a second with the process id; ``results`` is a folder to keep the records in.
 
-    Raises RuntimeError with what the player said where it ends with an error.
+    Raises RuntimeError with the player's log where it ends with an error.
     """
     with tempfile.TemporaryDirectory() as folder:
         source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]

@@ -30,7 +30,7 @@ CENTRE = torch.tensor((224.0, 192.0), dtype=torch.float64)
 
 
 def run(quick: bool) -> list[Row]:
-    """Rows for a few frames of the sequence, the last one included."""
+    """Return rows for a few frames of the sequence, the last one included."""
     count = 12 if quick else 100
     points = choose_points(SHAPE, 60 if quick else 300, border=40)
     bound = error_bound(points, NOISE, WINDOW)
@@ -71,7 +71,7 @@ def _from_keyframe(track: Tracker, frames: list[Tensor], points: Tensor) -> list
 
 
 def _truth(points: Tensor, progress: float) -> Tensor:
-    """Where material points (..., 2) px of the first frame are: c + F (x - c) + d."""
+    """Return the positions c + F (x - c) + d of material points (..., 2) px of the first frame."""
     deformation = torch.eye(2, dtype=torch.float64) + progress * GRADIENT
     return (points.double() - CENTRE) @ deformation.T + CENTRE + progress * MOTION
 

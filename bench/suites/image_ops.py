@@ -36,14 +36,14 @@ BORDER = 4  # px that libraries pad in their own way: half of the largest median
 
 
 class Operation(NamedTuple):
-    """Several ways to the same result, the peer first; all give (H, W) images, or all give (N, 2) corners."""
+    """Alternative calls with the same result, the peer first: all give (H, W) images, or all (N, 2) corners."""
 
     name: str
     ways: dict[str, Callable[[], Tensor]]
 
 
 def run(quick: bool) -> list[Row]:
-    """One row an operation and way."""
+    """Return a row per operation and way."""
     part = (slice(192, 320), slice(240, 400)) if quick else (slice(None), slice(None))
     eight, twelve = (Press(camera=Camera(bit_depth=bits)) for bits in (8, 12))
     frame, wide = (_view(scene, "contact", scene.render(299), part) for scene in (eight, twelve))

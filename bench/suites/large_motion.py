@@ -1,4 +1,4 @@
-"""Two frames of skin that moved by several pixels: what is found, and what is accepted although it is wrong.
+"""Two frames of skin that moved by several pixels: points found, and points accepted although they are wrong.
 
 Window 21 px, noise of 2 grey levels, up to 700 corners, four directions of each distance; a point is accepted if it
 returns within 0.5 px when it is tracked back. `wrong` is the share of all points that are accepted and lie more than
@@ -27,7 +27,7 @@ WRONG = 0.5  # px
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a distance and tracker."""
+    """Return a row per distance and tracker."""
     shape = QUICK_SHAPE if quick else SHAPE
     # Far enough inside for the window and its motion to stay in the frame.
     points = choose_points(shape, 100 if quick else 700, border=64)

@@ -48,7 +48,7 @@ PEER = "opencv"
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a pipeline."""
+    """Return a row per pipeline."""
     press = QUICK_PRESS if quick else PRESS
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "press"

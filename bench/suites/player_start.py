@@ -20,7 +20,7 @@ from bench.streams import exported_recipes
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a recipe and engine."""
+    """Return a row per recipe and engine."""
     if not sys.platform.startswith("linux"):
         raise Skipped("peak memory is read from /proc")
     starts, frames = (2, 20) if quick else (5, 1000)
@@ -66,7 +66,7 @@ def _played(python: Path, bundle: Path, engine: str, results: Path, frames: int)
 
 
 def _peak_mib(process: int) -> float:
-    """Return the most that has been resident so far; 0 of a process that has just ended."""
+    """Return the peak resident memory so far; 0 for a process that has just ended."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:

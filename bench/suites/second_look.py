@@ -1,4 +1,4 @@
-"""The verification of tracked points: how many of those that are beside their skin it finds, and how many it drops.
+"""Verification of tracked points: the share of wrong points that it finds, and of right points that it drops.
 
 Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
 ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;
@@ -43,7 +43,7 @@ Check = tuple[Verification, Array, Array, Array, Array]
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a recording."""
+    """Return a row per recording."""
     size = QUICK if quick else SMALL
     frames = 16 if quick else 48
     usual: dict[str, Any] = {"n_frames": frames, "frame_rate": float(frames), "frames_before_trigger": 2, **size}
@@ -67,7 +67,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, float | None]:
-    """The cells of a row; positions that the check takes away are those of a run without it."""
+    """Return the cells of a row; positions are those of a run without the check."""
     loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
     check = Verification.check
 
@@ -109,7 +109,7 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
 def _put_beside(
     verification: Verification, images: Array, points: Array, status: Array, warp: Array
 ) -> dict[str, float | None]:
-    """Share of points beside their place that fail."""
+    """Return the share of displaced points that fail the check, by distance."""
     generator, cells = np.random.default_rng(5), dict[str, float | None]()
     tracked = status[-1] == TrackStatus.TRACKED
     for name, (least, most) in BESIDE.items():

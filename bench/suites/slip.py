@@ -53,12 +53,12 @@ _NOISE = 0.01  # of d^2, for the bound
 
 
 def run(quick: bool) -> list[Row]:
-    """The row of all trials and a row each, the wrong ones first, then those without a verdict."""
+    """Return the row of all trials and a row per trial, wrong verdicts first, then missing ones."""
     return summed([measured(seed) for seed in (SEEDS[:2] if quick else SEEDS)])
 
 
 def trial(seed: int) -> PartialSlip:
-    """The random trial of a seed."""
+    """Return the random trial of a seed."""
     draw = np.random.default_rng(seed)
     static = draw.uniform(0.5, 1.5)
     length = draw.uniform(2.4, 2.95)
@@ -86,7 +86,7 @@ def trial(seed: int) -> PartialSlip:
 
 
 def measured(seed: int) -> dict[str, Cell]:
-    """The row of a trial, which is rendered and processed."""
+    """Render and process a trial; return its row."""
     known = trial(seed)
     with tempfile.TemporaryDirectory() as folder, one_thread():
         write_quietly(Path(folder) / "trial", known)
@@ -131,7 +131,7 @@ def measured(seed: int) -> dict[str, Cell]:
 
 
 def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
-    """The rows of trials after one that counts them, in `_ORDER`."""
+    """Return the rows of trials in `_ORDER`, after one that sums them up."""
     known = [row for row in rows if row["within_002"] is not None]
     frames = sum(number(row, "frames") for row in rows)
     seen = [number(row, "frames") * (1 - number(row, "unknown") / 100) for row in known]

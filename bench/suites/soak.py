@@ -1,4 +1,4 @@
-"""A day in miniature: 100,000 small frames through the player, and the memory that its process holds.
+"""Memory of the player's process over 100,000 small frames.
 
 Views of 96 x 128 px, 50 points, as fast as it goes; each frame is computed, tracked and written. `rss_mib` is the
 resident memory when so many frames had been written, `growth_mib` since the first row.
@@ -25,12 +25,12 @@ window_px = 15
 
 
 def run(quick: bool) -> list[Row]:
-    """Ten rows over the run, the first after a tenth of it."""
+    """Return ten rows over the run, the first after a tenth of it."""
     count = 2_000 if quick else 100_000
     seen: list[tuple[float, float]] = []
 
     def watch(pid: int) -> None:
-        with suppress(psutil.NoSuchProcess):  # it has just ended
+        with suppress(psutil.NoSuchProcess):  # the process has just ended
             seen.append((time.perf_counter(), psutil.Process(pid).memory_info().rss / 2**20))
 
     with exported(RECIPE) as bundle:

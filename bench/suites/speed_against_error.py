@@ -67,8 +67,9 @@ _EXPORT = Path(__file__).resolve().parents[2] / "export"
 
 
 class Way(NamedTuple):
-    """A tracker at work: the call that is timed and its frames, what it finds in K frames, how far (K, 1, 2) px the
-    picture has moved in them, and the points (1, N, 2) px."""
+    """Work of a tracker: the timed call and its number of frames, points found in K frames, the motion (K, 1, 2) px of
+    the picture in them, and the points (1, N, 2) px.
+    """
 
     call: Callable[[], object]
     frames: int
@@ -78,7 +79,7 @@ class Way(NamedTuple):
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a window and tracker."""
+    """Return a row per window and tracker."""
     shape = QUICK_SHAPE if quick else SHAPE
     corners = choose_points(shape, 150 if quick else 700, border=18)
     points = corners + torch.rand(corners.shape, generator=torch.Generator().manual_seed(0))
@@ -123,7 +124,7 @@ def write_pairs(path: str) -> None:
 
 
 class _Pairs(NamedTuple):
-    """Pairs of frames, and how far (K, 1, 2) px the picture has moved from the one to the other."""
+    """K pairs of frames, and the motion (K, 1, 2) px of the picture in each."""
 
     frames: list[tuple[Tensor, Tensor]]
     moved: Tensor
@@ -182,8 +183,7 @@ def _label(tracker: str, window: int) -> str:
 
 
 class _Style(NamedTuple):
-    """Of a line: colour of all that a project makes, filling for the variant; where windows and the name stand, in
-    points from the markers and from the last one."""
+    """Style of a line: colour of the project, fill of the variant, offsets (points) of window labels and the name."""
 
     colour: str
     filling: str
@@ -208,7 +208,7 @@ _HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Time of a point against its error over the bound, one line a tracker, one marker a window."""
+    """Draw the time of a point against its error over the bound: a line per tracker, a marker per window."""
     figure, axes = plt.subplots(figsize=(8.4, 5), dpi=200, layout="constrained")
     axes.axhline(1, color="0.65", linewidth=0.8, zorder=0)
     for name, style in _STYLES.items():

@@ -22,7 +22,7 @@ FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
 
 
 def run(quick: bool) -> list[Row]:
-    """Two rows or three a recipe and engine."""
+    """Return two or three rows per recipe and engine."""
     rows: list[Row] = []
     with exported_recipes() as bundles:
         for recipe, bundle in bundles.items():

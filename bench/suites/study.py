@@ -47,7 +47,7 @@ WORKERS = 2
 
 
 def run(quick: bool) -> list[Row]:
-    """A row for the study by workers, one for OpenCV, one for empty tasks."""
+    """Return rows of the study with two workers and with one, of OpenCV, and of empty tasks."""
     count = QUICK_RECORDINGS if quick else RECORDINGS
     press = QUICK_PRESS if quick else Press()
     with tempfile.TemporaryDirectory() as name:
@@ -63,7 +63,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def write_study(folder: Path, press: Press, count: int) -> Path:
-    """A study of one recording under so many names; the folder of the first."""
+    """Write a study of one recording under ``count`` names; return the folder of the first."""
     first = folder / "p01/0um/trial0001"
     write_quietly(first, press)
     for trial in range(2, count + 1):
@@ -126,7 +126,7 @@ def _nothing(_: int) -> int:
 
 
 def _empty_tasks(count: int, trial_s: float) -> dict[str, str | float]:
-    """Of a worker's own time nothing is counted: it is a process apart, as the client with the scheduler is here."""
+    """Measure client and scheduler, which share this process; the worker's time is that of another process."""
     spent = []
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         for many in (count // 10, count):  # what starting takes falls out of the difference
@@ -153,11 +153,11 @@ def _raise(name: str, error: BaseException) -> int:
 
 @contextmanager
 def _used() -> Iterator[dict[str, float]]:
-    """Seconds by the clock and of the processors, those of child processes that have ended included."""
+    """Yield a record that holds, afterwards, wall-clock and processor seconds, ended child processes included."""
     found: dict[str, float] = {}
     before, start = _processors(), time.perf_counter()
     yield found
-    # Workers are its children, and counted when it has ended; the next row starts it anew.
+    # Workers are children of the fork server and count once it has ended; the next row starts another.
     forkserver._forkserver._stop()  # type: ignore[attr-defined]
     found |= {"seconds": time.perf_counter() - start, "cpu": _processors() - before}
 

@@ -1,4 +1,4 @@
-"""Memory of a worker of `fingerflow study` over many small recordings: does anything of one stay?
+"""Growth of the memory of a worker of `fingerflow study` over many small recordings.
 
 1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
 which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many
@@ -34,7 +34,7 @@ PRESS = Press(
 
 
 def run(quick: bool) -> list[Row]:
-    """A row every tenth of the recordings, and the slope."""
+    """Return a row every tenth of the recordings, and the slope."""
     if not sys.platform.startswith("linux"):
         raise Skipped("what a process shares is known on Linux only")
     count = QUICK_RECORDINGS if quick else RECORDINGS
@@ -52,7 +52,7 @@ def run(quick: bool) -> list[Row]:
 
 
 class _Watch(threading.Thread):
-    """Looks at the worker, the one child that computes, whenever so many more results are there."""
+    """Reading of the worker, the one child that computes, after every ``every`` results."""
 
     def __init__(self, results: Path, every: int) -> None:
         super().__init__(daemon=True)
@@ -75,19 +75,19 @@ class _Watch(threading.Thread):
             if done >= self._every * (len(self.rows) + 1):
                 if self._worker is None:
                     client = psutil.Process()
-                    # The process that it is forked from is as large, and a child of the client.
+                    # The process from which it is forked is as large, and a child of the client.
                     self._worker = max(
                         client.children(recursive=True),
                         key=lambda one: (one.ppid() != client.pid, one.memory_info().rss),
                     )
                 try:
-                    self.rows.append(_looked_at(self._worker, done))
-                except (psutil.NoSuchProcess, KeyError, OSError):  # it may have ended with the last recording
+                    self.rows.append(_row_of(self._worker, done))
+                except (psutil.NoSuchProcess, KeyError, OSError):  # the worker may have ended with the last recording
                     return
                 print(self.rows[-1], flush=True)
 
 
-def _looked_at(worker: psutil.Process, done: int) -> Row:
+def _row_of(worker: psutil.Process, done: int) -> Row:
     return {
         "recordings": done,
         "own_mb": _own_mb(worker),

@@ -1,4 +1,4 @@
-"""Markers of real soft sensors, followed with default settings, against spots that OpenCV finds in each frame alone.
+"""Markers of real soft sensors, tracked with default settings, against spots that OpenCV finds in each frame alone.
 
 The clips are those of a folder `shared/data/tactile` beside the checkout, which is no part of this project.
 
@@ -29,7 +29,7 @@ _NEAR_PX, _OFF_PX, _INSIDE_PX = 1.5, 3.0, 12.0
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a clip; the shortest alone with --quick."""
+    """Return a row per clip; the shortest alone with --quick."""
     clips = sorted(CLIPS.glob("*.avi"), key=lambda clip: clip.stat().st_size)
     if not clips:
         raise Skipped(f"{CLIPS} holds no clip")
@@ -70,7 +70,7 @@ def _measured(clip: Path) -> Row:
 
 
 def dark_spots(frame: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Centroids (M, 2) px of round dark spots that the border does not touch: a local threshold, connected parts."""
+    """Return centroids (M, 2) px of round dark spots off the border, by a local threshold and connected components."""
     smooth = cv2.GaussianBlur(frame, (0, 0), 1.0)
     dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, 51, 18)
     _, _, stats, centres = cv2.connectedComponentsWithStats(dark)

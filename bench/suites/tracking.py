@@ -28,7 +28,7 @@ WINDOW = 21
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a noise, start, shift and tracker, and the pooled ones."""
+    """Return a row per noise, start, shift and tracker, and the pooled rows."""
     shape = QUICK_SHAPE if quick else SHAPE
     corners = choose_points(shape, 150 if quick else 700, WINDOW)
     anywhere = corners + torch.rand(corners.shape, generator=torch.Generator().manual_seed(0))
