@@ -1,4 +1,4 @@
-"""Pages that are written from the package when the site is built: outputs, keys of a scene, measurements."""
+"""Pages that the build of the site writes from the package: outputs, keys of a scene, measurements."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,7 +34,7 @@ RESULTS = HERE.parent / "bench" / "results"
 
 
 def _cell(text: object) -> str:
-    """As it reads in a cell of a table of Markdown."""
+    """Return text escaped for a cell of a Markdown table."""
     plain = str(text)
     for mark in "\\|*_<>$`[]~":
         plain = plain.replace(mark, f"\\{mark}")
@@ -47,7 +47,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 
 def outputs_page() -> str:
-    """Every variable: unit, dimensions, definition, equation, by stage."""
+    """Return the page of variables by stage: unit, dimensions, definition, equation."""
     lines = [
         "# Dictionary of outputs",
         "",
@@ -97,7 +97,7 @@ def _symbols() -> list[str]:
 
 
 def keys_page() -> str:
-    """Every key of a scene file: type, range, default, who needs it."""
+    """Return the page of keys of a scene file: type, range, default, who needs them."""
     press = views_of(KINDS["press"])
     tables: dict[str, SceneKey | SceneTable] = {"views": press, **SCENE}
     lines = [
@@ -164,7 +164,7 @@ def _kind_of(of: Any) -> str:
 
 
 def measurements_page() -> str:
-    """The rows of bench/results, with machine and command."""
+    """Return the page of the rows of bench/results, with machine and command."""
     lines = [
         "# Measurements in full",
         "",
@@ -196,7 +196,7 @@ def measurements_page() -> str:
 
 
 def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Of a suite with a row for all shifts together, that one alone."""
+    """Return the rows for all shifts together where a suite has them, otherwise all rows."""
     pooled = [row for row in rows if row.get("shift") == "all"]
     return pooled or rows
 
@@ -205,7 +205,7 @@ PAGES = {"outputs": outputs_page, "keys": keys_page, "measurements": measurement
 
 
 def write(folder: Path) -> None:
-    """Writes the pages; one that is as it was is not touched, so that Sphinx does not read it again."""
+    """Write the pages. An unchanged page is not touched, so that Sphinx does not read it again."""
     folder.mkdir(exist_ok=True)
     for name, page in PAGES.items():
         path, text = folder / f"{name}.md", page()
@@ -214,6 +214,6 @@ def write(folder: Path) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Called by Sphinx."""
+    """Register with Sphinx."""
     app.connect("builder-inited", lambda app: write(Path(app.srcdir) / "generated"))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
