@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from bench.bare_environment import variables
 from fingerflow.export import export_bundle
 
 _RECIPES = Path(__file__).parents[1] / "export"
@@ -39,29 +40,33 @@ def play(
     bundle: Path,
     *arguments: str,
     engine: str = "native",
+    python: Path | str = sys.executable,
     watch: Callable[[int], None] = lambda pid: None,
+    watch_s: float = 0.1,
     scene: Path | None = None,
     results: Path | None = None,
 ) -> dict[str, Any]:
     """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
-    ``watch`` is called ten times a second with the process id; ``results`` is a folder to keep the records in.
+    ``watch`` is called with the process id every ``watch_s`` seconds; ``results`` is a folder to keep the records in.
 
     Raises RuntimeError with the player's log where it ends with an error.
     """
     with tempfile.TemporaryDirectory() as folder:
         source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
-        command = [sys.executable, "-m", "fingerflow.player", *source, "--page", "off"]
+        command = [str(python), "-m", "fingerflow.player", *source, "--page", "off"]
         options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
         options += ["--engine", engine]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,
-            subprocess.Popen([*command, *options, *arguments], cwd=bundle, stdout=file, stderr=file) as running,
+            subprocess.Popen(
+                [*command, *options, *arguments], cwd=bundle, env=variables(), stdout=file, stderr=file
+            ) as running,
         ):
             while running.poll() is None:
                 watch(running.pid)
-                time.sleep(0.1)
+                time.sleep(watch_s)
         if running.returncode:
             raise RuntimeError(log.read_text())
         summary: dict[str, Any] = json.loads(Path(folder, "summary.json").read_text())

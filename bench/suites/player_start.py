@@ -8,15 +8,14 @@ it (VmHWM), over all frames of a run.
 """
 
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-from bench.bare_environment import ONNX, make_environment, variables
+from bench.bare_environment import ONNX, make_environment
 from bench.rows import Row, Skipped
-from bench.streams import exported_recipes
+from bench.streams import exported_recipes, play
 
 
 def run(quick: bool) -> list[Row]:
@@ -47,21 +46,20 @@ def run(quick: bool) -> list[Row]:
 
 def _played(python: Path, bundle: Path, engine: str, results: Path, frames: int) -> tuple[float, float]:
     """Return seconds until the first record of a stream is on the disk, and the peak memory in MiB."""
-    command = [str(python), "-m", "fingerflow.player", "--source", "synthetic", "--frames", str(frames)]
-    command += ["--engine", engine, "--page", "off", "--output", str(results)]
     records = results / "records.bin"
     seconds, mib = 0.0, 0.0
     begin = time.perf_counter()
-    with subprocess.Popen(
-        command, cwd=bundle, env=variables(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as running:
-        while running.poll() is None:
-            if not seconds and records.exists() and records.stat().st_size:
-                seconds = time.perf_counter() - begin
-            mib = max(mib, _peak_mib(running.pid))
-            time.sleep(0.005)
-    if running.returncode or not seconds:
-        raise RuntimeError(f"the player ended with {running.returncode}, and its first record came after {seconds} s")
+
+    def watch(pid: int) -> None:
+        nonlocal seconds, mib
+        if not seconds and records.exists() and records.stat().st_size:
+            seconds = time.perf_counter() - begin
+        mib = max(mib, _peak_mib(pid))
+
+    count = ("--frames", str(frames))
+    play(bundle, *count, engine=engine, python=python, watch=watch, watch_s=0.005, results=results)
+    if not seconds:
+        raise RuntimeError("the player ended before its first record was seen")
     return seconds, mib
 
 
