@@ -6,7 +6,7 @@ empty glass, real and gross contact, its ellipse, 700 corners followed forward a
 contact reached each point, gradients over 1.6 mm, their medians over the contact. What OpenCV's pipeline does, and why
 that and nothing else, is at the top of `bench/opencv_pipeline.py`.
 
-ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in the last run. Errors are
+ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in a run after that. Errors are
 against the exact truth: position_px RMS of the points in the last frame; areas and axes in percent, RMS over every
 third frame in which the gross contact has an eighth of its final area or more; divergence_um_mm at the points of the
 last frame (what a gauge length flattens is in it); medians over the contact, RMS over the same frames as areas.
@@ -19,6 +19,7 @@ last frame (what a gauge length flattens is in it); medians over the contact, RM
 import json
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,18 +54,9 @@ def run(quick: bool) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "press"
         write_quietly(recording, press)
-        measured: dict[str, Measured] = {}
-
-        def keep(name: str, pipeline: Callable[[Path, Press], Measured]) -> Callable[[], None]:
-            def call() -> None:
-                measured[name] = pipeline(recording, press)
-
-            return call
-
-        calls = {name: keep(name, pipeline) for name, pipeline in PIPELINES.items()}
+        calls = {name: partial(pipeline, recording, press) for name, pipeline in PIPELINES.items()}
         times = time_in_turns(calls, PEER, rounds=2 if quick else 5)
-        for name in calls.keys() - measured.keys():
-            calls[name]()
+        measured = {name: call() for name, call in calls.items()}
     return [
         {
             "pipeline": name,
