@@ -38,7 +38,7 @@ Picture = NDArray[Any]
 
 @pytest.fixture(autouse=True)
 def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Times are not judged, so one run each is enough."""
+    """Replace the timing of the suites, as times are not judged."""
 
     def once(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
         assert peer in candidates
