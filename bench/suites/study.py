@@ -20,6 +20,7 @@ second that one scheduler can give out, and how many workers of one thread keep 
 import multiprocessing
 import os
 import resource
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -76,23 +77,18 @@ def write_study(folder: Path, press: Press, count: int) -> Path:
 
 
 def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, str | float]:
-    results = folder / f"results-{workers}"
-    manifest = folder / "study.toml"
-    text = manifest.read_text(encoding="utf-8")
-    manifest.write_text(text.replace('results = "results"', f'results = "{results.name}"'), encoding="utf-8")
-    found: list[float] = []
+    shutil.rmtree(folder / "results", ignore_errors=True)  # of the row before
     with _used() as used:
-        loaded = load_manifest(manifest)
-        summary = run_study(loaded, workers=workers, progress=False)
-        write_tables(loaded)
-        found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
+        study = load_manifest(folder)
+        summary = run_study(study, workers=workers, progress=False)
+        write_tables(study)
     start = time.process_time()
-    loaded = load_manifest(manifest)
-    if plan_run(loaded):
+    study = load_manifest(folder)
+    if plan_run(study):
         raise RuntimeError("a study that is done would be run again")
-    write_tables(loaded)
+    write_tables(study)
     again = 1e3 * (time.process_time() - start) / count
-    manifest.write_text(text, encoding="utf-8")
+    found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
     if len(found) != count:
         raise RuntimeError(f"{len(found)} of {count} trials were measured: {summary}")
     frames = count * press.n_frames
