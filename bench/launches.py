@@ -40,7 +40,7 @@ def is_call(operation: Any) -> bool:
 
 
 class HostWait(Exception):
-    """A step reads a value from the accelerator, or sends it one from the host."""
+    """Wait of the host in a step that reads a value from the accelerator, or copies one to it."""
 
 
 class Launches(NamedTuple):

@@ -7,7 +7,7 @@ Row = Mapping[str, Cell]
 
 
 class Skipped(Exception):
-    """A suite cannot run here, for the reason in the message."""
+    """Refusal of a suite that cannot run here, with the reason as its message."""
 
 
 def number(row: Row, name: str) -> float:

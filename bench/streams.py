@@ -38,31 +38,43 @@ def exported_recipes() -> Iterator[dict[str, Path]]:
 
 def play(
     bundle: Path,
-    *arguments: str,
     engine: str = "native",
+    *,
+    scene: Path | None = None,
+    results: Path | None = None,
+    frames: int | None = None,
+    rate: int | None = None,
+    parallel: int = 1,
     python: Path | str = sys.executable,
     watch: Callable[[int], None] = lambda pid: None,
     watch_s: float = 0.1,
-    scene: Path | None = None,
-    results: Path | None = None,
 ) -> dict[str, Any]:
     """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
-    ``watch`` is called with the process id every ``watch_s`` seconds; ``results`` is a folder to keep the records in.
+    By default all frames are played as fast as it goes, and records are not kept: ``rate`` is in frames a second,
+    ``results`` a folder. ONNX Runtime computes ``parallel`` frames at once. ``watch`` is called with the process id
+    every ``watch_s`` seconds.
 
     Raises RuntimeError with the player's log where it ends with an error.
     """
     with tempfile.TemporaryDirectory() as folder:
-        source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
-        command = [str(python), "-m", "fingerflow.player", *source, "--page", "off"]
-        options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
-        options += ["--engine", engine]
+        options = {
+            "--engine": engine,
+            "--source": None if scene else "synthetic",
+            "--scene": scene,
+            "--page": "off",
+            "--output": results or f"{folder}/results",
+            "--json": f"{folder}/summary.json",
+            "--frames": frames,
+            "--rate": rate,
+            "--parallel-frames": parallel if parallel > 1 else None,
+        }
+        given = [str(word) for option in options.items() if option[1] is not None for word in option]
+        command = [str(python), "-m", "fingerflow.player", *given]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,
-            subprocess.Popen(
-                [*command, *options, *arguments], cwd=bundle, env=variables(), stdout=file, stderr=file
-            ) as running,
+            subprocess.Popen(command, cwd=bundle, env=variables(), stdout=file, stderr=file) as running,
         ):
             while running.poll() is None:
                 watch(running.pid)

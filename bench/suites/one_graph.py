@@ -54,9 +54,7 @@ def _rows(scene: Path, recording: Press | Slide, bundles: Mapping[str, Path], fo
         firsts: dict[str, Any] = {}
         for engine, pace, parallel in RUNS:
             results = folder.with_name(f"{folder.name}-{recipe}-{engine}-{pace}-{parallel}")
-            given = () if pace is None else ("--rate", str(pace))
-            given = (*given, "--parallel-frames", str(parallel)) if parallel > 1 else given
-            play(bundle, *given, engine=engine, scene=scene, results=results)
+            play(bundle, engine, scene=scene, results=results, rate=pace, parallel=parallel)
             records = read_results(results).records
             first = firsts.setdefault(engine, records)
             divergence = 1e3 * records["median_divergence"]

@@ -56,8 +56,7 @@ def _played(python: Path, bundle: Path, engine: str, results: Path, frames: int)
             seconds = time.perf_counter() - begin
         mib = max(mib, _peak_mib(pid))
 
-    count = ("--frames", str(frames))
-    play(bundle, *count, engine=engine, python=python, watch=watch, watch_s=0.005, results=results)
+    play(bundle, engine, frames=frames, python=python, watch=watch, watch_s=0.005, results=results)
     if not seconds:
         raise RuntimeError("the player ended before its first record was seen")
     return seconds, mib

@@ -34,7 +34,7 @@ def run(quick: bool) -> list[Row]:
             seen.append((time.perf_counter(), psutil.Process(pid).memory_info().rss / 2**20))
 
     with exported(RECIPE) as bundle:
-        summary = play(bundle, "--frames", str(count), watch=watch)
+        summary = play(bundle, frames=count, watch=watch)
     end = seen[-1][0]
     begin = end - summary["seconds"]
     tenths = range(1, 11)

@@ -45,9 +45,7 @@ def _free(bundle: Path, engine: str, parallel: int, quick: bool) -> dict[str, An
 def _played(bundle: Path, engine: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
     seconds = 2 if quick else 60
     count = seconds * pace if pace else FRAMES[engine] // (5 if quick else 1)
-    given = () if pace is None else ("--rate", str(pace))
-    side = ("--parallel-frames", str(parallel)) if parallel > 1 else ()
-    summary = play(bundle, "--frames", str(count), *side, *given, engine=engine)
+    summary = play(bundle, engine, frames=count, rate=pace, parallel=parallel)
     return {
         "side_by_side": parallel,
         "asked_hz": pace,
