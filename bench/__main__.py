@@ -1,4 +1,4 @@
-"""`python -m bench`: runs the suites, prints their tables, writes one JSON file and the figures."""
+"""`python -m bench`: run suites, print their tables, write one JSON file and the figures."""
 
 import argparse
 import importlib
@@ -17,7 +17,7 @@ FIGURES = Path(__file__).parent / "figures"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs what the command line asks for."""
+    """Run the suites that the command line names."""
     known = [module.name for module in pkgutil.iter_modules(suites.__path__)]
     parser = argparse.ArgumentParser("python -m bench", description="Speed against error, beside the peers.")
     parser.add_argument("suite", nargs="*", help=f"one or more of: {', '.join(known)}; default all")

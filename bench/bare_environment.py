@@ -12,7 +12,7 @@ ONNX = ("numpy", "onnxruntime", "flatbuffers", "protobuf", "packaging")  # onnxr
 
 
 def make_environment(home: Path, distributions: tuple[str, ...]) -> Path:
-    """Make a virtual environment with links to distributions that are installed here; the path of its Python."""
+    """Make a virtual environment with links to distributions that are installed here; return the path of its Python."""
     venv.EnvBuilder(symlinks=sys.platform != "win32").create(home)
     python = home / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     ask = "import sysconfig; print(sysconfig.get_path('purelib'))"

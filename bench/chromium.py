@@ -1,4 +1,4 @@
-"""The browser that pages are looked at with: Playwright's own Chromium, or the system's."""
+"""The browser that shows pages: Playwright's own Chromium, or the system's."""
 
 import shutil
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def launch(engine: Any) -> Any | None:
-    """Starts it, headless; None where there is neither."""
+    """Return the browser, started without a window; None where there is neither."""
     own = Path(engine.chromium.executable_path)
     system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if not own.exists() and system is None:

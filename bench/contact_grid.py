@@ -1,4 +1,4 @@
-"""Skin all over the contact of a scene, and its strain energy by formulas, for what is compared with truth by area."""
+"""Skin all over the contact of a scene, and its strain energy by formulas: the truth of quantities by area."""
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def skin_in_contact(scene: SyntheticScene, frame: int, step_mm: float) -> Array:
-    """(N, 2) mm, material of a grid over the contact in a frame."""
+    """Return material positions (N, 2) mm of the skin on a grid over the contact in a frame."""
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
     axis = np.arange(-6, 6, step_mm)
@@ -24,9 +24,9 @@ def skin_in_contact(scene: SyntheticScene, frame: int, step_mm: float) -> Array:
 
 
 def energies(gradient: Array, step_mm: float) -> Array:
-    """(N,) mJ of skin with these gradients (N, 2, 2) of displacement, on a grid of places in the frame they are of.
+    """Compute strain energies (N,) mJ from displacement gradients (N, 2, 2) on a grid in their own frame.
 
-    The density is one of the volume at the reference, as that of triangles is.
+    The density refers to the reference volume, as that of triangles does.
     """
     density = strain_energy_density(green_lagrange(torch.from_numpy(gradient))).numpy()
     result: Array = DEPTH_MM * density / np.linalg.det(np.eye(2) + gradient) * step_mm**2
@@ -34,7 +34,7 @@ def energies(gradient: Array, step_mm: float) -> Array:
 
 
 def energy_since_onset(scene: SyntheticScene, result: xr.Dataset, frame: int, step_mm: float) -> tuple[float, float]:
-    """mJ of the skin since its onset: of all of the contact, and of what is in a triangle of ``result`` that counts."""
+    """Compute the energy since the onset, mJ: of all skin in contact, and of that in the triangles of ``result``."""
     material = skin_in_contact(scene, frame, step_mm)
     each = energies(scene.truth.gradient(material, frame), step_mm)
     places = scene.truth.positions(material, frame) - scene.truth.displacement(material, frame)

@@ -1,7 +1,7 @@
 """Measure two codes for digital image correlation on the pairs of pictures of `speed_against_error`.
 
 Both ask for opencv-python, which installs its own cv2 over the one that serves here, and Qt, pyvale for VTK too: they
-live in an environment of their own, and what they do is kept in dic_codes.json, which the suite reads.
+are installed in an environment of their own. The suite reads their figures from dic_codes.json.
 
     python -c "from bench.suites.speed_against_error import write_pairs; write_pairs('pairs.npz')"
     python -m venv dic
@@ -43,7 +43,7 @@ Array = NDArray[Any]
 
 
 def al_dic(previous: Array, current: Array, points: Array) -> Array:
-    """Displacements (N, 2) px of points (N, 2)."""
+    """Return displacements (N, 2) px of points (N, 2)."""
     importlib.import_module("numba").set_num_threads(THREADS)
     settings = importlib.import_module("al_dic.core.data_structures").DICPara(winsize=WINDOW - 1)
     first, second = previous / 255, current / 255
@@ -55,7 +55,7 @@ def al_dic(previous: Array, current: Array, points: Array) -> Array:
 
 
 def pyvale(previous: Array, current: Array, points: Array) -> Array:
-    """Displacements (N, 2) px of points (N, 2) on a grid, NaN where none was accepted."""
+    """Return displacements (N, 2) px of points (N, 2) on a grid, NaN where none was accepted."""
     dic = importlib.import_module("pyvale.dic")
     low, high = points.min(0) - WINDOW // 2, points.max(0) + WINDOW // 2 + 1
     region = np.zeros(previous.shape, bool)
@@ -82,9 +82,9 @@ CODES: dict[str, Callable[[Array, Array, Array], Array]] = {"al-dic": al_dic, "p
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Write times and errors of the codes."""
+    """Write times and errors of both codes into dic_codes.json."""
     parser = argparse.ArgumentParser("python -m bench.dic_codes", description="Two DIC codes on pairs of pictures.")
-    parser.add_argument("pairs", type=Path, help="what write_pairs has written")
+    parser.add_argument("pairs", type=Path, help="the file of write_pairs")
     pairs = np.load(parser.parse_args(arguments).pairs)
     previous, current, points = pairs["previous"], pairs["current"], pairs["points"]
     one = {name: partial(code, previous[1], current[1], points) for name, code in CODES.items()}

@@ -2,6 +2,8 @@
 
 import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -23,12 +25,23 @@ _PACKAGES = (
 
 
 def share_cores() -> None:
-    """Gives OpenCV as many threads as torch has."""
+    """Give OpenCV as many threads as torch has."""
     cv2.setNumThreads(torch.get_num_threads())
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Context in which torch, and with it fingerflow, computes with one thread."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 def describe() -> dict[str, dict[str, str | int | None]]:
-    """Machine, versions and threads of a run, and whether fingerflow's compiled kernels served in it."""
+    """Return machine, versions and threads of a run, and whether the compiled kernels are in use."""
     return {
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
@@ -42,7 +55,7 @@ def describe() -> dict[str, dict[str, str | int | None]]:
 
 
 def _processor() -> str:
-    """The model name, which Linux keeps elsewhere than Python looks."""
+    """Return the model name of the processor: on Linux from /proc/cpuinfo, which `platform` does not read."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

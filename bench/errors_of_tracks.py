@@ -1,4 +1,4 @@
-"""How far tracked points lie from the truth."""
+"""Errors of tracked points against the truth."""
 
 import math
 
@@ -9,11 +9,11 @@ from bench.rows import Cell
 
 
 def error_cells(errors: Tensor, accepted: Tensor, bound: Tensor | None = None) -> dict[str, Cell]:
-    """The columns of a row.
+    """Return error columns of a row.
 
     Args:
         errors: (N, 2) px.
-        accepted: (N,) bool, the points that count.
+        accepted: (N,) bool, the points that enter the statistics.
         bound: (N, 2, 2) px^2, the Cramer-Rao bound; None where it does not apply.
 
     Returns:
@@ -41,5 +41,5 @@ def error_cells(errors: Tensor, accepted: Tensor, bound: Tensor | None = None) -
 
 
 def root_mean_square(values: list[float]) -> float:
-    """Of numbers that stand for equally many points."""
+    """Compute the RMS of values that stand for equally many points."""
     return torch.tensor(values, dtype=torch.float64).square().mean().sqrt().item()

@@ -1,4 +1,4 @@
-"""How well mu_k / mu_s can be known at best from the d²(T/N) of a trial of partial slip: the Cramer-Rao bound."""
+"""Cramer-Rao bound of mu_k / mu_s from the d²(T/N) of a trial of partial slip."""
 
 from typing import NamedTuple
 
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from fingerflow.models.partial_slip import stuck_area
 from fingerflow.synthetic import PartialSlip
 
-_STEP = 1e-6  # of a difference quotient in float64
+_STEP = 1e-6  # for difference quotients in float64
 
 
 class FrictionBound(NamedTuple):
-    """Of mu_k / mu_s of a trial, relative; NaN where the frames do not determine it.
+    """Relative bound of mu_k / mu_s in a trial; NaN where the frames do not determine it.
 
     Attributes:
-        deviation: least standard deviation of any estimate without bias.
-        shift: of the least-squares fit, where d² is too large by the given offset in all frames.
+        deviation: least standard deviation of any unbiased estimate.
+        shift: bias of the least-squares fit where d² is too large by the given offset in all frames.
     """
 
     deviation: float
@@ -25,7 +25,7 @@ class FrictionBound(NamedTuple):
 
 
 def friction_bound(trial: PartialSlip, noise: float, offset: float) -> FrictionBound:
-    """Of both coefficients fitted to equation 5 (Terekhov & Hayward 2011) over the frames in which the model says d².
+    """Compute the bound for both coefficients of equation 5 (Terekhov & Hayward 2011), from frames with a model d².
 
     The information of the frames is J' J / v, J the derivatives of d² by mu_s and mu_k, v the variance of d²: noise^2,
     and the noise of both forces through the slope of d² over T/N. Frames count as independent.
@@ -33,7 +33,7 @@ def friction_bound(trial: PartialSlip, noise: float, offset: float) -> FrictionB
     Args:
         trial: coefficients, forces and their noise.
         noise: standard deviation of d², independent from frame to frame.
-        offset: of d², the same in all frames.
+        offset: bias of d², the same in all frames.
     """
     progress = trial.progress(trial.times)
     loaded = torch.as_tensor(np.asarray(progress)[np.asarray(progress) < trial.motion.loaded])

@@ -1,4 +1,4 @@
-"""kornia's gradient descent (`ImageRegistrator`) on a window around each point: it has no tracker of points."""
+"""kornia's `ImageRegistrator` on a window around each point, as kornia has no tracker of points."""
 
 from functools import partial
 from typing import Any
@@ -14,13 +14,13 @@ from fingerflow.ops.filters.windows import cut_windows
 # Found by trial at a noise of 2 grey levels, 21 px: 20 steps leave 1.43 of the bound, 30 leave 1.31, 40 leave 1.30;
 # Adam is at 1.5 after 20 and at 2.4 after 40, linear interpolation ends at 2.0.
 _STEPS, _FIRST_STEP = 30, 0.015
-_MARGIN = 2  # px around the window, which count for nothing: a warped picture shows them instead of its outside
+_MARGIN = 2  # px of zero weight around the window, which a warped picture shows in place of its outside
 
 
 def track_kornia(previous: Tensor, current: Tensor, points: Tensor, window: int = 21) -> Found:
-    """Register the window of each point by a translation, all in one call; motion below 2 px, every point accepted.
+    """Track points by registering their windows with translations, all in one call; accept every point.
 
-    The squared difference of the windows is summed both ways, as `ImageRegistrator` has it, and minimised by Rprop.
+    Motion is below 2 px. Rprop minimises the squared difference of the windows, summed both ways by `ImageRegistrator`.
     """
     side = window + 2 * _MARGIN
     inside = functional.pad(torch.ones(window, window), (_MARGIN,) * 4)
@@ -38,7 +38,7 @@ def track_kornia(previous: Tensor, current: Tensor, points: Tensor, window: int 
 
 
 class _Translations(BaseModel):
-    """A translation (N, 2) of each of N windows, where a window reaches from -1 to 1."""
+    """Translations (N, 2) of N windows, each in coordinates from -1 to 1."""
 
     def __init__(self, count: int) -> None:
         super().__init__()

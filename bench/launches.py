@@ -1,8 +1,8 @@
-"""How often a step of a graph calls an accelerator, counted without one.
+"""Count of the calls of an accelerator in a step of a graph, without an accelerator.
 
-The module runs on tensors that have shapes and types, and no values (of torch's device `meta`): whatever asks for a
-value, or mixes them with tensors of the host, would make the host wait. An operation that is no view is one call, a
-launch of a kernel or several of a library's; the count is of the portable form, eager.
+The module runs on tensors with shapes and types but no values (torch's device `meta`). An operation that reads a value,
+or mixes such tensors with tensors of the host, would make the host wait. An operation that is no view counts as one
+call, whether it launches one kernel or several. The count is that of the portable form, eager.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
-#: Operations whose result has a size, or is a number, that only the values tell: the host waits for them.
+#: Operations whose result, or its size, depends on values: the host waits for them.
 _WAITS = frozenset(
     f"aten::{name}"
     for name in (
@@ -35,26 +35,26 @@ _NO_CALLS = frozenset(
 
 
 def is_call(operation: Any) -> bool:
-    """Whether an operation makes an accelerator do something: neither a view nor memory alone."""
+    """Return True if an operation computes on the accelerator: it is neither a view nor an allocation."""
     return not operation.is_view and operation.name().partition(".")[0] not in _NO_CALLS
 
 
 class HostWait(Exception):
-    """A step asks the accelerator for a value, or brings it one from the host."""
+    """Wait of the host in a step that reads a value from the accelerator, or copies one to it."""
 
 
 class Launches(NamedTuple):
-    """Calls of the accelerator in a step, and what comes out: shapes and types, by the structure of the result."""
+    """Number of calls in a step, and its result with (shape, type) in place of each tensor."""
 
     calls: int
     result: Any
 
 
 def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
-    """Runs a module once on inputs that may be nested; nothing of it is kept.
+    """Count the calls of a module in one run on inputs that may be nested; the module stays as it is.
 
     Raises:
-        HostWait: where the host would have to wait, with the operation.
+        HostWait: the host would have to wait; the message names the operation.
     """
     counter = _Counter()
 
@@ -82,7 +82,7 @@ class _Counter(TorchDispatchMode):
         name = operation.name()
         given = [value for value in tree_leaves((arguments, options or {})) if isinstance(value, Tensor)]
         there = any(tensor.is_meta for tensor in given)
-        # A number that lies on the host goes with the call, not by a copy.
+        # A scalar of the host is an argument of the call, not a copy.
         mixed = there and any(not tensor.is_meta and tensor.ndim for tensor in given)
         by_mask = name.startswith(("aten::index.", "aten::index_put", "aten::_index_put")) and any(
             isinstance(index, Tensor) and index.dtype == torch.bool for index in arguments[1]
@@ -91,7 +91,7 @@ class _Counter(TorchDispatchMode):
             raise HostWait(f"{operation}{' by a mask' if by_mask else ' with a tensor of the host' if mixed else ''}")
         result = operation(*arguments, **(options or {}))
         after = [value.is_meta for value in tree_leaves(result) if isinstance(value, Tensor)]
-        if name == "aten::detach_" and there:  # all that is seen of torch.tensor([...], device=...)
+        if name == "aten::detach_" and there:  # the one trace of torch.tensor([...], device=...)
             raise HostWait("a tensor made of numbers of the host in every call")
         if given and any(after) and not there:
             raise HostWait(f"{operation} brings a constant from the host in every call")

@@ -1,4 +1,4 @@
-"""From a frame to the pixels that touch, with OpenCV: what a user without this project would write."""
+"""Contact mask of a frame with OpenCV, as a user without this project would write it."""
 
 from collections.abc import Callable
 
@@ -11,10 +11,9 @@ from fingerflow.ops.filters.illumination import normalize_illumination
 
 
 def opencv_contact(frame: Tensor, empty: Tensor, median_px: int) -> Callable[[], Tensor]:
-    """Illumination quotient, one byte a pixel, median, Otsu, and the number of pixels above it.
+    """Return a call that finds the contact (H, W) bool: illumination quotient, one byte a pixel, median, Otsu, count.
 
-    What does not change from frame to frame, the light of the empty glass and where it is enough, is known before the
-    call that is returned. Frames (1, 1, H, W) of 8 bit; the call gives (H, W) bool.
+    Frames are (1, 1, H, W) of 8 bit. What depends on the empty glass alone is computed before the call.
     """
     pixels, reference = frame[0, 0].numpy(), empty[0, 0].numpy().astype(np.float32)
     lit = normalize_illumination(frame, empty).valid[0, 0].numpy()

@@ -1,4 +1,4 @@
-"""The best pipeline from frames to contact and strain that we could write with OpenCV, NumPy and SciPy.
+"""Pipeline from frames to contact and strain with OpenCV, NumPy and SciPy, the best that we could write.
 
 Every choice was the one with the least error against the truth among those tried on the simulated press:
 
@@ -35,7 +35,7 @@ _LEAST_POINTS = 5
 
 
 class Rig(NamedTuple):
-    """What a pipeline is told: empty glass and darkness (H, W) float32 of the contact view, scale, views, settings."""
+    """Inputs of the pipeline: empty glass and darkness (H, W) float32 of the contact view, scale, views, settings."""
 
     empty: NDArray[np.float32]
     dark: NDArray[np.float32]
@@ -46,10 +46,10 @@ class Rig(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What both pipelines of the suite give, by frame, and the seconds that its parts took.
+    """Results of a pipeline by frame, and the seconds that its parts took.
 
     Areas (F,) mm^2, semi-axes (F, 2) mm, positions (F, N, 2) px of the topography view, divergence (F, N) at them, its
-    median (F,) and median strain (F, 3) as (exx, eyy, exy); NaN where it is not known.
+    median (F,) and median strain (F, 3) as (exx, eyy, exy); NaN where unknown.
     """
 
     real_area: Floats
@@ -63,7 +63,7 @@ class Measured(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """The gross contact: pixels of its convex hull, 0 or 1, centre (2,) px, and half axes along their directions."""
+    """Gross contact: mask of its convex hull, 0 or 1, centre (2,) px, and semi-axes with their directions."""
 
     mask: Image
     center: Floats
@@ -72,7 +72,7 @@ class Outline(NamedTuple):
 
 
 def run(contact: Image, topography: Image, rig: Rig) -> Measured:
-    """Both views (F, H, W) of a recording whose last frame has the most contact."""
+    """Measure both views (F, H, W) of a recording whose last frame has the most contact."""
     start = time.perf_counter()
     finder = ContactFinder(contact[-1], rig)
     areas, outlines = zip(*map(finder.find, contact), strict=True)
@@ -88,7 +88,7 @@ def run(contact: Image, topography: Image, rig: Rig) -> Measured:
 
 
 def _follow(frames: Image, outlines: Sequence[Outline], rig: Rig) -> tuple[Floats, NDArray[np.bool_]]:
-    """Positions (F, N, 2) px and which points (F, N) the contact covers."""
+    """Return positions (F, N, 2) px and which points (F, N) the contact covers."""
     tracker = _Tracker(frames[0], outlines[-1].mask, rig)
     positions, covered = [], []
     for frame, outline in zip(frames, outlines, strict=True):
@@ -98,7 +98,7 @@ def _follow(frames: Image, outlines: Sequence[Outline], rig: Rig) -> tuple[Float
 
 
 class ContactFinder:
-    """Contact by thresholds from the frame (H, W) with the most of it."""
+    """Contact by thresholds, which come from the frame (H, W) with the most contact."""
 
     def __init__(self, most: Image, rig: Rig) -> None:
         self._dark = rig.dark
@@ -109,19 +109,19 @@ class ContactFinder:
         self._fine = _otsu(quotient, _gross(quotient, self._coarse).mask > 0)
 
     def find(self, frame: Image) -> tuple[int, Outline]:
-        """Real contact in px and the gross contact."""
+        """Return the real contact area in px and the gross contact."""
         quotient = self._quotient(frame)
         return int(np.count_nonzero(quotient < self._fine)), _gross(quotient, self._coarse)
 
     def _quotient(self, frame: Image) -> NDArray[np.float32]:
-        """Light over that of the empty glass, median-filtered."""
+        """Return the light over that of the empty glass, median-filtered."""
         quotient = cv2.divide(cv2.subtract(frame, self._dark, dtype=cv2.CV_32F), self._light)
         quotient[self._unlit] = 1
         return np.asarray(cv2.medianBlur(quotient, 3), dtype=np.float32)
 
 
 def _otsu(quotient: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
-    """The quotient below which a pixel touches."""
+    """Return the quotient below which a pixel is in contact."""
     levels = np.clip(np.round(_LEVELS * quotient), 0, 255).astype(np.uint8)
     level, _ = cv2.thresholdWithMask(
         levels, np.zeros_like(levels), where.astype(np.uint8), 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU
@@ -158,7 +158,7 @@ class _Tracker:
         self.last = self.start
 
     def follow(self, image: Image) -> Floats:
-        """Where the points are now (N, 2); NaN for those that do not find their way back."""
+        """Return positions (N, 2) px; NaN for points that fail the forward-backward test."""
         at_start = np.concatenate((self.start, np.ones((len(self.start), 1))), axis=1, dtype=np.float64)
         affine = np.linalg.lstsq(at_start, self.last.astype(np.float64), rcond=None)[0].T
         warped = cv2.warpAffine(self._first, affine, image.shape[::-1], borderMode=cv2.BORDER_REFLECT)
@@ -172,7 +172,7 @@ class _Tracker:
 
 
 def _sample(mask: Image, points: NDArray[np.floating], rig: Rig) -> Image:
-    """Values of the contact view at points (N, 2) of the topography view; 0 outside."""
+    """Return values of the contact view at points (N, 2) of the topography view; 0 outside."""
     matrix = np.asarray(rig.topography_to_contact)
     x, y = np.round(points @ matrix[:, :2].T + matrix[:, 2]).astype(int).T
     inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
@@ -182,7 +182,7 @@ def _sample(mask: Image, points: NDArray[np.floating], rig: Rig) -> Image:
 def _fields(
     position: Floats, covered: NDArray[np.bool_], outlines: Sequence[Outline], rig: Rig
 ) -> tuple[Floats, Floats, Floats]:
-    """Divergence (F, N) of the displacement since the contact reached each point, its median (F,), that of strain."""
+    """Compute divergence (F, N) of the displacement since the onset, its median (F,) and that of strain (F, 3)."""
     matrix = np.asarray(rig.topography_to_contact)
     glass = (position @ matrix[:, :2].T + matrix[:, 2]) * rig.mm_per_px
     onset = np.where(covered.any(0), covered.argmax(0), len(covered))
@@ -212,7 +212,7 @@ def _fields(
 
 
 def _gradients(points: Floats, values: Floats, weights: Floats) -> Floats:
-    """Slopes (2, 2, N) of weighted least-squares planes around each point, rows are components of the values."""
+    """Fit weighted planes around each point; return slopes (2, 2, N), a row per component of the values."""
     points = points - points.mean(0)
     x, y = points.T
     u, v = values.T
@@ -229,7 +229,7 @@ def _gradients(points: Floats, values: Floats, weights: Floats) -> Floats:
 
 
 def _grid_inside(outline: Outline, mm_per_px: float) -> Floats:
-    """Positions (P, 2) mm on a square grid in the ellipse of the gross contact."""
+    """Return positions (P, 2) mm on a square grid in the ellipse of the gross contact."""
     steps = np.ceil(outline.semi_axes[0] * mm_per_px / _GRID_MM) + 4
     offsets = np.arange(-steps, steps + 1) / steps
     right, down = np.meshgrid(offsets, offsets)

@@ -1,4 +1,4 @@
-"""What a suite gives: rows of named cells, and how they are printed."""
+"""Rows of named cells, the results of a suite, and their printed table."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,11 +7,11 @@ Row = Mapping[str, Cell]
 
 
 class Skipped(Exception):
-    """A suite cannot run here; the message says why."""
+    """Refusal of a suite that cannot run here, with the reason as its message."""
 
 
 def number(row: Row, name: str) -> float:
-    """A cell that holds a number; raises TypeError where it does not."""
+    """Return a cell that holds a number; raise TypeError where it does not."""
     cell = row[name]
     if not isinstance(cell, int | float):
         raise TypeError(f"{name} is {cell!r}, not a number")
@@ -19,9 +19,9 @@ def number(row: Row, name: str) -> float:
 
 
 def as_table(rows: Sequence[Row]) -> str:
-    """Aligned columns in the order in which the rows name them; a cell that a row lacks stays empty."""
+    """Return rows as text in aligned columns, in the order of first appearance; a missing cell stays empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    lines = [names, *([_text(row.get(name)) for name in names] for row in rows)]
+    lines = [names, *([as_text(row.get(name)) for name in names] for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(names))]
     left = [all(isinstance(row.get(name), str | None) for row in rows) for name in names]
     return "\n".join(
@@ -33,7 +33,8 @@ def as_table(rows: Sequence[Row]) -> str:
     )
 
 
-def _text(cell: Cell) -> str:
+def as_text(cell: Cell) -> str:
+    """Return a cell as it stands in a table: floats with four digits, nothing for None."""
     if cell is None:
         return ""
     if isinstance(cell, bool):

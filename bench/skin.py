@@ -1,4 +1,4 @@
-"""Pictures of skin that moved by a known amount, and how well such motion can be measured at all."""
+"""Pictures of skin with known motion, and the Cramer-Rao bound of measuring it."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -18,13 +18,13 @@ Shift = tuple[float, float]
 
 
 def grey(x: Tensor, y: Tensor) -> Tensor:
-    """Grey level of the skin at material positions in px: 110 on average, 30 to 190 at most, so noise never clips."""
+    """Return grey levels of the skin at material positions in px: mean 110, 30 to 190, so that noise never clips."""
     return 110 + 80 * _TEXTURE(x * MM_PER_PX, y * MM_PER_PX)
 
 
 @lru_cache(maxsize=16)
 def clean_picture(shape: tuple[int, int], shift: Shift) -> Tensor:
-    """The skin moved by ``shift`` px without noise and rounding, (1, 1, H, W) float64."""
+    """Return the skin moved by ``shift`` px, without noise and rounding, (1, 1, H, W) float64."""
     return deformed_picture(shape, lambda x, y: (x - shift[0], y - shift[1]))
 
 
@@ -33,28 +33,34 @@ def deformed_picture(
     material: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
     dtype: torch.dtype = torch.float64,
 ) -> Tensor:
-    """The skin (1, 1, H, W) where a pixel shows the material position (px) that ``material`` gives for it."""
+    """Return the skin (1, 1, H, W) whose pixels show the material positions (px) given by ``material``."""
     return texture_image(grey, shape, 1.0, material, dtype)
 
 
 def photograph(clean: Tensor, noise: float, seed: int) -> Tensor:
-    """A camera of 8 bit: white noise of ``noise`` grey levels, rounded to uint8."""
+    """Return a picture as an 8-bit camera gives it: white noise of ``noise`` grey levels, rounded to uint8."""
     generator = torch.Generator().manual_seed(seed)
     noisy = clean + noise * torch.randn(clean.shape, generator=generator, dtype=clean.dtype)
     return noisy.round().clamp(0, 255).to(torch.uint8)
 
 
+def photograph_pair(shape: tuple[int, int], motion: Shift, noise: float, number: int) -> tuple[Tensor, Tensor]:
+    """Return photographs of the skin at rest and moved by ``motion`` px; pairs of another number have another noise."""
+    previous = photograph(clean_picture(shape, (0.0, 0.0)), noise, seed=2 * number)
+    return previous, photograph(clean_picture(shape, motion), noise, seed=2 * number + 1)
+
+
 def choose_points(shape: tuple[int, int], count: int, border: int) -> Tensor:
-    """(1, N, 2) whole-pixel corners of the skin, N at most ``count``, at least ``border`` px inside the frame."""
+    """Return corners (1, N, 2) on whole pixels, at most ``count``, at least ``border`` px inside the frame."""
     corners = detect_corners(clean_picture(shape, (0.0, 0.0)), count, 8.0, window=21, border=border)
     return corners.points[:, corners.valid[0]].float()
 
 
 def error_bound(points: Tensor, noise: float, window: int) -> Tensor:
-    """The Cramer-Rao bound of a displacement between two noisy pictures: no unbiased estimate has less covariance.
+    """Compute the Cramer-Rao bound of a displacement between two noisy pictures.
 
-    2 sigma^2 G^-1 with G the sum of grad grad' of the clean skin over the window, by automatic differentiation of the
-    formula in float64, and sigma^2 = noise^2 + 1/12 for the rounding.
+    No unbiased estimate has less covariance than 2 sigma^2 G^-1. G is the sum of grad grad' of the clean skin over the
+    window, by automatic differentiation in float64; sigma^2 = noise^2 + 1/12 includes the rounding.
 
     Args:
         points: (1, N, 2) px.

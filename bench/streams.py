@@ -1,4 +1,4 @@
-"""The player of a bundle as a program of its own, as a lab PC runs it."""
+"""The player of a bundle as a separate process, as a lab PC runs it."""
 
 import json
 import subprocess
@@ -6,16 +6,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+
+from bench.bare_environment import variables
+from fingerflow.export import export_bundle
+
+_RECIPES = Path(__file__).parents[1] / "export"
 
 
 @contextmanager
 def exported(recipe: str) -> Iterator[Path]:
-    """The bundle of a recipe, given as the text of its file; it is gone afterwards."""
-    from fingerflow.export import export_bundle
-
+    """Yield the bundle of a recipe, given as the text of its file, and delete it afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recipe.toml"
         path.write_text(recipe, encoding="utf-8")
@@ -23,33 +26,59 @@ def exported(recipe: str) -> Iterator[Path]:
         yield Path(folder) / "bundle"
 
 
+@contextmanager
+def exported_recipes() -> Iterator[dict[str, Path]]:
+    """Yield the bundle of each recipe of `export/` by the recipe's name, and delete them afterwards."""
+    with ExitStack() as held:
+        yield {
+            path.stem: held.enter_context(exported(path.read_text(encoding="utf-8")))
+            for path in sorted(_RECIPES.glob("*.toml"))
+        }
+
+
 def play(
     bundle: Path,
-    *arguments: str,
     engine: str = "native",
-    watch: Callable[[int], None] = lambda pid: None,
+    *,
     scene: Path | None = None,
     results: Path | None = None,
+    frames: int | None = None,
+    rate: int | None = None,
+    parallel: int = 1,
+    python: Path | str = sys.executable,
+    watch: Callable[[int], None] = lambda pid: None,
+    watch_s: float = 0.1,
 ) -> dict[str, Any]:
-    """The summary of a stream of the synthetic source, or of the recording of a scene.
+    """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
-    ``watch`` is called ten times a second with the process id; ``results`` is a folder to keep the records in.
+    By default all frames are played as fast as it goes, and records are not kept: ``rate`` is in frames a second,
+    ``results`` a folder. ONNX Runtime computes ``parallel`` frames at once. ``watch`` is called with the process id
+    every ``watch_s`` seconds.
 
-    Raises RuntimeError with what the player said where it ends with an error.
+    Raises RuntimeError with the player's log where it ends with an error.
     """
     with tempfile.TemporaryDirectory() as folder:
-        source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
-        command = [sys.executable, "-m", "fingerflow.player", *source, "--page", "off"]
-        options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
-        options += ["--engine", engine]
+        options = {
+            "--engine": engine,
+            "--source": None if scene else "synthetic",
+            "--scene": scene,
+            "--page": "off",
+            "--output": results or f"{folder}/results",
+            "--json": f"{folder}/summary.json",
+            "--frames": frames,
+            "--rate": rate,
+            "--parallel-frames": parallel if parallel > 1 else None,
+        }
+        given = [str(word) for option in options.items() if option[1] is not None for word in option]
+        command = [str(python), "-m", "fingerflow.player", *given]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,
-            subprocess.Popen([*command, *options, *arguments], cwd=bundle, stdout=file, stderr=file) as running,
+            subprocess.Popen(command, cwd=bundle, env=variables(), stdout=file, stderr=file) as running,
         ):
             while running.poll() is None:
                 watch(running.pid)
-                time.sleep(0.1)
+                time.sleep(watch_s)
         if running.returncode:
             raise RuntimeError(log.read_text())
         summary: dict[str, Any] = json.loads(Path(folder, "summary.json").read_text())

@@ -1,4 +1,4 @@
-"""Times of several ways to do the same, measured in turns so that all meet the same machine."""
+"""Times of alternative calls, measured in turns so that other work on the machine slows all alike."""
 
 import statistics
 import time
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Timing(NamedTuple):
-    """Median and 10th to 90th percentile of repeated runs in ms, and the median ratio to the peer's time."""
+    """Median, 10th and 90th percentile of repeated runs in ms, and the median ratio to the peer's time."""
 
     median_ms: float
     low_ms: float
@@ -15,22 +15,22 @@ class Timing(NamedTuple):
     to_peer: float
 
     def of_each(self, count: int) -> "Timing":
-        """The same of each of ``count`` frames that a run went through."""
+        """Return the times per frame of runs over ``count`` frames."""
         return Timing(self.median_ms / count, self.low_ms / count, self.high_ms / count, self.to_peer)
 
     def cells(self) -> dict[str, float]:
-        """The columns of a row."""
+        """Return the time columns of a row."""
         return {"ms": self.median_ms, "ms_p10": self.low_ms, "ms_p90": self.high_ms, "time_to_peer": self.to_peer}
 
 
 def time_in_turns(candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, Timing]:
-    """Runs all candidates one after the other, `rounds` times after two rounds of warm-up.
+    """Time candidates in turns: ``rounds`` rounds of all of them, after two rounds of warm-up.
 
     Other work on the machine slows a whole round rather than one candidate, so the ratio is taken within each round.
 
     Args:
-        candidates: what to call, by name.
-        peer: the one that the ratios refer to.
+        candidates: calls by name.
+        peer: the candidate that the ratios refer to.
         rounds: at least 2.
     """
     seconds: dict[str, list[float]] = {name: [] for name in candidates}

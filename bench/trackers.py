@@ -1,7 +1,7 @@
-"""This project's tracker and OpenCV's behind one call: forward, backward, and whether the point is accepted."""
+"""This project's tracker and OpenCV's behind one call: forward, backward, acceptance."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-4)
 
 
 class Found(NamedTuple):
-    """Positions (1, N, 2) px, and which of them (N,) the tracker itself calls good."""
+    """Positions (1, N, 2) px, and which of them (N,) the tracker accepts."""
 
     points: Tensor
     accepted: Tensor
@@ -33,27 +33,16 @@ def track_fingerflow(
     points: Tensor,
     window: int = 21,
     *,
-    initial: Tensor | None = None,
-    warp: Tensor | None = None,
-    passes: int = 1,
-    search: int = 0,
     limit: float = 1.0,
+    passes: int = 1,
+    **options: Any,
 ) -> Found:
-    """`fingerflow.ops.track_points`; it tracks back by itself. ``limit`` px is that of the forward-backward error.
+    """Track by `fingerflow.ops.track_points` and its options, with the limit of the forward-backward error in px.
 
-    One pass, as OpenCV's windows are not deformed either."""
+    One pass by default, as OpenCV's windows are not deformed either.
+    """
     with torch.no_grad():
-        tracks = track_points(
-            previous,
-            current,
-            points,
-            window,
-            initial=initial,
-            warp=warp,
-            passes=passes,
-            search=search,
-            forward_backward_limit=limit,
-        )
+        tracks = track_points(previous, current, points, window, passes=passes, forward_backward_limit=limit, **options)
     return Found(tracks.points, tracks.status[0] == TrackStatus.TRACKED)
 
 
@@ -67,7 +56,7 @@ def track_opencv(
     levels: int = 0,
     limit: float = 1.0,
 ) -> Found:
-    """`cv2.calcOpticalFlowPyrLK` there and back; accepted if it found both ways and returns within ``limit`` px."""
+    """Track by `cv2.calcOpticalFlowPyrLK` there and back; accept points found both ways that return to ``limit`` px."""
     first, second = previous[0, 0].numpy(), current[0, 0].numpy()
     start = points[0].numpy()
     guess = start if initial is None else initial[0].numpy()
@@ -78,11 +67,11 @@ def track_opencv(
 
 
 def follow_fingerflow(key: Tensor, points: Tensor, window: int) -> Callable[[Tensor, Tensor, int], list[Found]]:
-    """Prepare templates of points (1, N, 2) px in a key frame, for the native engine to follow.
+    """Prepare templates of points (1, N, 2) px in a key frame for the native engine.
 
     Returns:
-        A function of frames (K, 1, H, W) that follow the key frame, their speed (2,) px a frame, and how many of them
-        a call is given; it finds the points in each.
+        A function of the next frames (K, 1, H, W), their speed (2,) px a frame, and the number of frames per call. It
+        finds the points in each frame.
     """
     engine = NativeEngine(EngineSettings(window_px=window))
     start = points[0].numpy()

@@ -1,4 +1,4 @@
-"""Makes the pictures of the documentation anew: `python -m docs.make_pictures`, from the root of the repository.
+"""Make the pictures of the documentation: `python -m docs.make_pictures`, from the root of the repository.
 
 A synthetic press, and one of a real print, in a real Chromium. Needs the extras `view` and `dev`, Chromium (the
 system's, or `python -m playwright install chromium`), and for `own_*.png` a picture of a print, which is no part of
@@ -7,7 +7,8 @@ this project: 101_1.tif of FVC2002 DB2 in `../shared/data/fingers`. Without it t
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -40,17 +41,16 @@ SLOW = 600_000  # ms
 
 
 def save(data: bytes, name: str) -> None:
-    """A PNG of 256 colours, fitted to the picture."""
+    """Save a PNG with 256 colours fitted to the picture, at most `WIDTH` px wide."""
     picture = Image.open(BytesIO(data)).convert("RGB")
-    if picture.width > WIDTH:
-        picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
+    picture.thumbnail((WIDTH, picture.height), Image.Resampling.LANCZOS)
     picture.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=4, dither=Image.Dither.NONE).save(
         PICTURES / name, optimize=True
     )
 
 
 def draw_press(result: xr.Dataset, folder: Path) -> None:
-    """Both views of one moment, and what was found."""
+    """Draw both views at one moment, with points, outlines and the divergence."""
     scene = fingerflow.load_scene(folder / "scene.toml")
     figure = plt.figure(figsize=(11, 3.6), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.1))
@@ -66,50 +66,46 @@ def draw_press(result: xr.Dataset, folder: Path) -> None:
 
 
 def screenshot(page: Any, height: int) -> bytes:
-    """What is seen of it at this height."""
+    """Return a PNG of a page in a window of this height."""
     page.set_viewport_size({"width": 1280, "height": height})
-    page.wait_for_timeout(1500)  # what moves into place
+    page.wait_for_timeout(1500)  # until moving elements have come to rest
     return bytes(page.screenshot())
 
 
-def of_page(browser: Any, path: Path, height: int, prepare: Callable[[Any], None]) -> bytes:
-    """The page of `fingerflow view`."""
+@contextmanager
+def opened(browser: Any, path: Path, height: int) -> Iterator[Any]:
+    """Yield the page of `fingerflow view` for a file, with its picture drawn."""
     with Served(path) as served:
         page = browser.new_page(viewport={"width": 1280, "height": height})
         page.set_default_timeout(SLOW)
         page.goto(served.address)
         page.wait_for_selector("#picture[data-drawn]")
-        prepare(page)
-        held = screenshot(page, height)
-        page.close()
-    return held
+        yield page
+        page.context.close()
 
 
-def show_frame(page: Any) -> None:
-    """Moves the slider to the moment that is shown."""
-    page.locator("#frame").evaluate(
-        f"element => {{ element.value = {SHOWN}; element.dispatchEvent(new Event('input')); }}"
-    )
-    page.wait_for_selector(f"#picture[data-frame='{SHOWN}']")
+def draw_result(browser: Any, path: Path) -> None:
+    """Draw the page of a result with its slider at `SHOWN`."""
+    with opened(browser, path, 900) as page:
+        page.locator("#frame").evaluate(
+            f"element => {{ element.value = {SHOWN}; element.dispatchEvent(new Event('input')); }}"
+        )
+        page.wait_for_selector(f"#picture[data-frame='{SHOWN}']")
+        save(screenshot(page, 900), "view_result.png")
 
 
 def draw_walk(browser: Any, folder: Path) -> None:
-    """From raw files to a report by the page alone, at each place where there is something to look at."""
+    """Draw the way from raw files to a report on the page, a picture per step."""
     if not PRINT.is_file():
         print(f"{PRINT} is not here: own_*.png stay as they are")
         return
     write_raw_press(folder, press_of(PRINT))
-    with Served(folder / "press.tif") as served:
-        page = browser.new_page(viewport={"width": 1280, "height": 1000})
-        page.set_default_timeout(SLOW)
-        page.goto(served.address)
-        page.wait_for_selector("#picture[data-drawn]")
+    with opened(browser, folder / "press.tif", 1000) as page:
         walk(page, lambda name: save(screenshot(page.context.pages[-1], HEIGHTS.get(name, 900)), f"own_{name}.png"))
-        page.context.close()
 
 
 def main() -> None:
-    """All of them, by way of a folder whose name is seen on them."""
+    """Make all pictures in a folder whose name shows on them."""
     folder = Path(tempfile.gettempdir()) / "trial-of-a-press"
     if folder.exists():
         raise SystemExit(f"{folder} exists: remove it, its name is seen on the pictures")
@@ -122,7 +118,7 @@ def main() -> None:
             browser = launch(engine)
             assert browser is not None, "no Chromium here"
             fingerflow.process(folder / "scene.toml", to=folder / "result.h5").close()
-            save(of_page(browser, folder / "result.h5", 900, show_frame), "view_result.png")
+            draw_result(browser, folder / "result.h5")
 
             result = load_result(folder / "result.h5")
             draw_press(result, folder)

@@ -1,5 +1,5 @@
-"""One suite a module, found by its name.
+"""Suites of the bench: one per module, found by the name of the module.
 
-A suite has a docstring that says what is measured and what the columns mean, and `run(quick) -> list[Row]`. It may have
-`draw(rows, path)` for a figure. It raises `bench.rows.Skipped` with the reason where it cannot run.
+The docstring of a suite states what is measured and what the columns mean; `run(quick) -> list[Row]` returns the rows.
+`draw(rows, path)` is optional and draws a figure. `run` raises `bench.rows.Skipped` with the reason if it cannot run.
 """

@@ -44,7 +44,7 @@ GAUGE_PX = 61.0
 
 
 def run(quick: bool) -> list[Row]:
-    """One row an image and tracker."""
+    """Return a row per image and tracker."""
     if not FOLDER.is_dir():
         raise Skipped(
             f"the DIC Challenge's sample 14 is not here: there is no {'/'.join(FOLDER.parts[-4:])} beside the project"
@@ -88,21 +88,21 @@ def _read(name: str, columns: slice) -> Tensor:
 
 
 def _grid(shape: torch.Size) -> Tensor:
-    """(1, N, 2) whole pixels; a column of the grid after the other."""
+    """Return points (1, N, 2) on whole pixels, column after column of the grid."""
     height, width = shape[-2:]
     x, y = torch.arange(BORDER, width - BORDER, STEP), torch.arange(BORDER, height - BORDER, STEP)
     return torch.cartesian_prod(x, y).float()[None]
 
 
 def _well_inside(points: Tensor, shape: torch.Size) -> Tensor:
-    """(N,) where the whole support of the strain lies on the grid."""
+    """Return True (N,) where the whole support of the strain lies on the grid."""
     last = points[0].amax(0)
     margin = GAUGE_PX / 2
     return ((points[0] >= BORDER + margin) & (points[0] <= last - margin)).all(-1)
 
 
 def _errors(name: str, unit: str, measured: Tensor, points: Tensor, truth: NDArray[np.float64]) -> dict[str, float]:
-    """RMS error against the truth of each pixel column, and its two parts."""
+    """Compute the RMS error against the truth of each pixel column, and its two parts."""
     column = points[0, :, 0].long()
     error = measured.double() - torch.from_numpy(truth)[column]
     by_column = error.view(len(column.unique()), -1)
@@ -113,7 +113,7 @@ def _errors(name: str, unit: str, measured: Tensor, points: Tensor, truth: NDArr
 
 
 def _gain(measured: Tensor, points: Tensor, truth: NDArray[np.float64]) -> float:
-    """Least-squares slope of the measured displacement over the truth's mean across the window."""
+    """Compute the least-squares slope of the measured displacement over the truth's mean across the window."""
     half = WINDOW // 2
     mean = np.convolve(np.pad(truth, half, mode="edge"), np.full(WINDOW, 1 / WINDOW), mode="valid")
     known = measured.isfinite()

@@ -1,4 +1,4 @@
-"""What goes wrong with a recording in a lab, and what it does to the result: the shipped press with default settings.
+"""Errors of disturbed recordings: the shipped press with default settings and faults as they occur in a lab.
 
 300 frames of two 512 x 640 px views (24 small ones with --quick), disturbed before the camera adds its noise: in the
 middle of the recording the finger jumps by 5 px between two frames and stays there; the light of one view or of both
@@ -27,8 +27,8 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press
@@ -43,19 +43,11 @@ OUTPUTS = ["real_contact_area", "gross_contact_area", "position_px", "median_div
 Picture = NDArray[np.floating]
 
 
-def _unchanged(picture: Picture, _frame: int, _press: Press) -> Picture:
-    return picture
-
-
-def _uncoded(frame: NDArray[np.integer]) -> NDArray[np.integer]:
-    return frame
-
-
 class Disturbance(NamedTuple):
-    """What happens to the light before the camera, and to its frames; `missing` is the share that is not there."""
+    """Changes of the light before the camera and of its frames; `missing` is the share of missing frames."""
 
-    light: Callable[[Picture, int, Press], Picture] = _unchanged
-    frame: Callable[[NDArray[np.integer]], NDArray[np.integer]] = _uncoded
+    light: Callable[[Picture, int, Press], Picture] | None = None
+    frame: Callable[[NDArray[np.integer]], NDArray[np.integer]] | None = None
     jump: bool = False
     missing: float = 0.0
 
@@ -110,12 +102,12 @@ DISTURBANCES = {
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a disturbance."""
+    """Return a row per disturbance."""
     return rows_of(QUICK_PRESS if quick else Press(), DISTURBANCES)
 
 
 def rows_of(press: Press, disturbances: dict[str, Disturbance]) -> list[Row]:
-    """The rows of some disturbances, the first of which is none."""
+    """Return the rows of disturbances, the first of which is none."""
     rows: list[Row] = []
     energy = float("nan")
     with tempfile.TemporaryDirectory() as folder:
@@ -138,7 +130,7 @@ def rows_of(press: Press, disturbances: dict[str, Disturbance]) -> list[Row]:
 
 
 def write_disturbed(recording: Path, folder: Path, press: Press, disturbance: Disturbance) -> NDArray[np.intp]:
-    """The press with a disturbance, and the numbers of its frames."""
+    """Write the press with a disturbance; return the numbers of its frames."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(recording, folder, ignore=shutil.ignore_patterns("frames.npy"))
     kept = np.arange(press.n_frames)
@@ -149,8 +141,8 @@ def write_disturbed(recording: Path, folder: Path, press: Press, disturbance: Di
         folder / "frames.npy", mode="w+", dtype=plain.dtype, shape=(len(kept), *plain.shape[1:])
     )
     for place, number in enumerate(kept.tolist()):
-        if disturbance.light is _unchanged:
-            frames[place] = disturbance.frame(plain[number])
+        if disturbance.light is None:
+            frames[place] = plain[number] if disturbance.frame is None else disturbance.frame(plain[number])
         else:
             light = torch.from_numpy(disturbance.light(press.render_clean(number), number, press))
             frames[place] = press.camera.read_out(light, number, defects=press.views["contact"])
@@ -164,11 +156,10 @@ def _errors(result: xr.Dataset, press: Press, kept: NDArray[np.intp], jump: bool
     truth = press.truth
     position = result["position_px"].values
     gross = truth.gross_contact_area_mm2(press.n_frames - 1)
-    material = truth.material(truth.topography_positions(position[0]), 0)
     distances, areas, divergence = [], [], []
     for place in range(len(kept) - 1, 0, -5):
         frame = int(kept[place])
-        true = truth.topography_pixels(truth.positions(material, frame))
+        true = truth.follow(position[0], 0, frame)
         if jump and frame >= press.n_frames // 2:
             true = true + np.array([JUMP_PX, 0.0])
         distances.append(np.linalg.norm(position[place] - true, axis=-1))

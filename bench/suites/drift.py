@@ -9,13 +9,14 @@ Cramer-Rao bound of two frames.
 """
 
 from functools import partial
+from itertools import pairwise
 
 import torch
 from torch import Tensor
 
 from bench.errors_of_tracks import error_cells
 from bench.rows import Row
-from bench.skin import choose_points, clean_picture, deformed_picture, error_bound, photograph
+from bench.skin import choose_points, deformed_picture, error_bound, photograph
 from bench.trackers import Found, Tracker, track_fingerflow, track_opencv
 from fingerflow.ops.fields.local_fit import local_gradients
 
@@ -29,31 +30,48 @@ CENTRE = torch.tensor((224.0, 192.0), dtype=torch.float64)
 
 
 def run(quick: bool) -> list[Row]:
-    """Rows for a few frames of the sequence, the last one included."""
+    """Return rows for a few frames of the sequence, the last one included."""
     count = 12 if quick else 100
     points = choose_points(SHAPE, 60 if quick else 300, border=40)
     bound = error_bound(points, NOISE, WINDOW)
-    first = photograph(clean_picture(SHAPE, (0.0, 0.0)), NOISE, seed=0)
-    trackers: dict[str, _FromFrameToFrame | _FromKeyframe] = {
-        "opencv, frame to frame": _FromFrameToFrame(partial(track_opencv, window=WINDOW), first, points),
-        "opencv, keyframe": _FromKeyframe(partial(track_opencv, window=WINDOW), first, points),
-        "fingerflow, frame to frame": _FromFrameToFrame(partial(track_fingerflow, window=WINDOW), first, points),
-        "fingerflow, keyframe": _FromKeyframe(_with_warp, first, points),
+    frames = [photograph(_picture(number / 100), NOISE, seed=number) for number in range(count + 1)]
+    opencv, fingerflow = (partial(track, window=WINDOW) for track in (track_opencv, track_fingerflow))
+    followed = {
+        "opencv, frame to frame": _from_frame_to_frame(opencv, frames, points),
+        "opencv, keyframe": _from_keyframe(opencv, frames, points),
+        "fingerflow, frame to frame": _from_frame_to_frame(fingerflow, frames, points),
+        "fingerflow, keyframe": _from_keyframe(_with_warp, frames, points),
     }
     rows: list[Row] = []
-    for number in range(1, count + 1):
-        progress = number / 100
-        frame = photograph(_picture(progress), NOISE, seed=number)
-        for name, tracker in trackers.items():
-            tracker.step(frame)
-            if number in (1, 3, 10, 30, count):
-                errors = (tracker.points - _truth(points, progress))[0]
-                rows.append({"frame": number, "tracker": name, **error_cells(errors, tracker.accepted, bound)})
+    for number in [frame for frame in (1, 3, 10, 30, count) if frame <= count]:
+        truth = _truth(points, number / 100)
+        for name, found in followed.items():
+            errors = (found[number].points - truth)[0]
+            rows.append({"frame": number, "tracker": name, **error_cells(errors, found[number].accepted, bound)})
     return rows
 
 
+def _from_frame_to_frame(track: Tracker, frames: list[Tensor], points: Tensor) -> list[Found]:
+    """Track each frame from the one before; a point counts as accepted until it is not in one frame."""
+    found = [Found(points, torch.ones(points.shape[1], dtype=torch.bool))]
+    for previous, frame in pairwise(frames):
+        last, new = found[-1], track(previous, frame, found[-1].points)
+        found.append(Found(new.points, last.accepted & new.accepted))
+    return found
+
+
+def _from_keyframe(track: Tracker, frames: list[Tensor], points: Tensor) -> list[Found]:
+    """Track each frame from the first one, starting where the point was last; accepted as above."""
+    found = [Found(points, torch.ones(points.shape[1], dtype=torch.bool))]
+    for frame in frames[1:]:
+        last, new = found[-1], track(frames[0], frame, points, initial=found[-1].points)
+        place = torch.where(new.accepted[:, None], new.points, last.points)
+        found.append(Found(place, last.accepted & new.accepted))
+    return found
+
+
 def _truth(points: Tensor, progress: float) -> Tensor:
-    """Where material points (..., 2) px of the first frame are: c + F (x - c) + d."""
+    """Return the positions c + F (x - c) + d of material points (..., 2) px of the first frame."""
     deformation = torch.eye(2, dtype=torch.float64) + progress * GRADIENT
     return (points.double() - CENTRE) @ deformation.T + CENTRE + progress * MOTION
 
@@ -67,37 +85,6 @@ def _picture(progress: float) -> Tensor:
         return a * x + b * y + centre_x, c * x + d * y + centre_y
 
     return deformed_picture(SHAPE, material)
-
-
-class _FromFrameToFrame:
-    """Each frame is compared with the one before."""
-
-    def __init__(self, track: Tracker, first: Tensor, points: Tensor) -> None:
-        self._track = track
-        self._previous = first
-        self.points = points
-        self.accepted = torch.ones(points.shape[1], dtype=torch.bool)
-
-    def step(self, frame: Tensor) -> None:
-        found = self._track(self._previous, frame, self.points)
-        self._previous, self.points = frame, found.points
-        self.accepted = self.accepted & found.accepted
-
-
-class _FromKeyframe:
-    """Each frame is compared with the first one."""
-
-    def __init__(self, track: Tracker, first: Tensor, points: Tensor) -> None:
-        self._track = track
-        self._first = first
-        self._start = points
-        self.points = points
-        self.accepted = torch.ones(points.shape[1], dtype=torch.bool)
-
-    def step(self, frame: Tensor) -> None:
-        found = self._track(self._first, frame, self._start, initial=self.points)
-        self.points = torch.where(found.accepted[:, None], found.points, self.points)
-        self.accepted = self.accepted & found.accepted
 
 
 def _with_warp(first: Tensor, frame: Tensor, start: Tensor, *, initial: Tensor) -> Found:

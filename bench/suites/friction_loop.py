@@ -1,4 +1,4 @@
-"""From friction to pictures and back: what `process` finds of the divergence that the skin chain gave the pictures.
+"""From friction to pictures and back: the divergence of the skin chain, rendered, and measured by `process`.
 
 A press of 5 N to a contact of 30 mm², the paper's chain turned about its axis, 96 frames of two 512 x 640 px views at
 100 a second (60 of 288 x 288 px with --quick), noise of 2 grey levels, default settings (gauge length 1.6 mm). All
@@ -13,17 +13,14 @@ differences between its elements (`models.skin_onset`), without splines or pictu
   changes by 40 um/mm within a mm: windows of 0.8 mm and a gauge of 1.6 mm do not follow that.
 """
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import processed
 from bench.rows import Row
-from bench.suites.pipeline import write_quietly
-from fingerflow import load_scene, process
 from fingerflow.report.beside_chain import INNER
 from fingerflow.report.beside_chain import inner_divergence as measured_inner
 from fingerflow.synthetic import ChainPress
@@ -36,13 +33,14 @@ Array = NDArray[np.float64]
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a friction."""
+    """Return a row per friction."""
     return [_row(replace(QUICK_PRESS if quick else PRESS, friction=friction)) for friction in FRICTIONS]
 
 
 def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Array]:
-    """Mean divergence over the disc of 0.6 of the contact's radius (frames,), um/mm: as measured at the points, NaN
-    where the contact is under 5 mm², and as the chain has it.
+    """Return the mean divergence (F,) um/mm over the disc of 0.6 of the contact's radius, measured and of the chain.
+
+    The measured one is NaN where the contact is under 5 mm².
     """
     chain = 1e3 * press.chain_at(press.chain_since_onset.mean_within(INNER))
     large = np.nan_to_num(result["gross_contact_area"].values) > 5
@@ -50,8 +48,9 @@ def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arra
 
 
 def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Array]:
-    """Median divergence over the contact (frames,), um/mm: as measured, NaN where it is under 3 mm², and as the
-    chain has it.
+    """Return the median divergence (F,) um/mm over the contact, measured and of the chain.
+
+    The measured one is NaN where the contact is under 3 mm².
     """
     seen = press.chain_since_onset
     large = press.chain_at(seen.contact_area) > 3e-6
@@ -59,10 +58,7 @@ def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arr
 
 
 def _row(press: ChainPress) -> Row:
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "press"
-        write_quietly(recording, press)
-        result = process(load_scene(recording / "scene.toml"), progress=False)
+    result = processed(press)
     row: dict[str, float] = {"friction": press.friction}
     for name, (measured, chain) in (
         ("inner", inner_divergence(press, result)),

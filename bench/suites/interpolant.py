@@ -1,5 +1,4 @@
-"""What tracking interpolates with: why a smoothed cubic spline and not an exact one
-(`fingerflow/ops/filters/spline.py`).
+"""Interpolants of tracking: a smoothed cubic spline against an exact one (`fingerflow/ops/filters/spline.py`).
 
 The same Lucas-Kanade, forward only, by Newton's steps, on four interpolants: bilinear on the pixels as they are;
 bilinear on pixels smoothed once by [1 2 1]/4 each way; the cubic spline that passes through the pixels, which takes an
@@ -23,7 +22,7 @@ from torch import Tensor
 
 from bench.errors_of_tracks import error_cells, root_mean_square
 from bench.rows import Cell, Row, number
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, error_bound, photograph_pair
 from bench.timing import time_in_turns
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
@@ -34,7 +33,7 @@ _STEPS = 8  # of Newton's from the start; more change no digit
 
 
 class Interpolant(NamedTuple):
-    """How an image becomes a spline."""
+    """Spline of an image: its coefficients and its order."""
 
     coefficients: Callable[[Tensor], Tensor]
     order: int
@@ -57,7 +56,7 @@ INTERPOLANTS = {
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a noise, fraction and interpolant."""
+    """Return a row per noise, fraction and interpolant."""
     shape = QUICK_SHAPE if quick else SHAPE
     corners = choose_points(shape, 150 if quick else 700, WINDOW)
     rows: list[Row] = []
@@ -74,8 +73,7 @@ def _rows(shape: tuple[int, int], noise: int, fraction: float, points: Tensor, q
         if noise == 0 and shift == 0:
             continue  # identical images: no error and no bound
         motion = (shift, 0.7 * shift)
-        previous = photograph(clean_picture(shape, (0.0, 0.0)), noise, seed=2 * case)
-        current = photograph(clean_picture(shape, motion), noise, seed=2 * case + 1)
+        previous, current = photograph_pair(shape, motion, noise, case)
         for name, interpolant in INTERPOLANTS.items():
             errors = (_track(interpolant, previous, current, points) - points[0] - torch.tensor(motion)).double()
             cells[name].append(error_cells(errors, torch.ones(len(errors), dtype=torch.bool), bound))
@@ -100,7 +98,7 @@ def _rows(shape: tuple[int, int], noise: int, fraction: float, points: Tensor, q
 
 
 def _track(interpolant: Interpolant, previous: Tensor, current: Tensor, points: Tensor) -> Tensor:
-    """(N, 2) positions in ``current``."""
+    """Return positions (N, 2) in ``current``."""
     first, second = interpolant.coefficients(previous), interpolant.coefficients(current)
     start = points[0]
     image_index = torch.zeros(len(start), dtype=torch.int64)
@@ -115,7 +113,7 @@ def _track(interpolant: Interpolant, previous: Tensor, current: Tensor, points: 
 
 
 def _slope_noise(interpolant: Interpolant, fraction: float) -> float:
-    """Standard deviation of the gradient of unit white noise, over a million samples."""
+    """Compute the standard deviation of the gradient of unit white noise, over a million samples."""
     noise = torch.randn((1, 1, 1031, 1031), generator=torch.Generator().manual_seed(0))
     size = 1001
     centre = torch.full((1, 2), 515.0 + fraction)

@@ -1,4 +1,4 @@
-"""Two frames of skin that moved by several pixels: what is found, and what is accepted although it is wrong.
+"""Two frames of skin that moved by several pixels: points found, and points accepted although they are wrong.
 
 Window 21 px, noise of 2 grey levels, up to 700 corners, four directions of each distance; a point is accepted if it
 returns within 0.5 px when it is tracked back. `wrong` is the share of all points that are accepted and lie more than
@@ -13,7 +13,7 @@ import torch
 
 from bench.errors_of_tracks import error_cells
 from bench.rows import Row
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, photograph_pair
 from bench.timing import time_in_turns
 from bench.trackers import track_fingerflow, track_opencv
 
@@ -27,7 +27,7 @@ WRONG = 0.5  # px
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a distance and tracker."""
+    """Return a row per distance and tracker."""
     shape = QUICK_SHAPE if quick else SHAPE
     # Far enough inside for the window and its motion to stay in the frame.
     points = choose_points(shape, 100 if quick else 700, border=64)
@@ -36,10 +36,7 @@ def run(quick: bool) -> list[Row]:
         trackers = {**TRACKERS, f"fingerflow, search {search} px": partial(track_fingerflow, search=search, limit=0.5)}
         angles = (0.3,) if quick else (0.3, 1.9, 3.4, 5.0)
         motions = [(distance * math.cos(angle), distance * math.sin(angle)) for angle in angles]
-        pairs = [
-            (photograph(clean_picture(shape, (0.0, 0.0)), 2, 2 * n), photograph(clean_picture(shape, m), 2, 2 * n + 1))
-            for n, m in enumerate(motions)
-        ]
+        pairs = [photograph_pair(shape, motion, 2, number) for number, motion in enumerate(motions)]
         times = time_in_turns(
             {name: partial(track, *pairs[0], points) for name, track in trackers.items()},
             "opencv, 4 levels",

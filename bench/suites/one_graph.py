@@ -12,34 +12,31 @@ divergence to the truth, in the same unit; that of `process` stands in the first
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.recordings import write_quietly
 from bench.rows import Row
-from bench.streams import exported, play
+from bench.streams import exported_recipes, play
 from fingerflow import load_scene, process
 from fingerflow.player import read_results
-from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic import Press, Slide
 
-RECIPES = Path(__file__).parents[2] / "export"
 RUNS = (("native", None, 1), ("native", 100, 1), ("onnx", None, 1), ("onnx", None, 2), ("onnx", 30, 2))
 _LEAST_AREA = 5.0  # mm2
 _CLOCK = ("time", "latency")
 
 
 def run(quick: bool) -> list[Row]:
-    """A row for `process`, and five a recipe, of each recording."""
+    """Return a row for `process` and five per recipe, for each recording."""
     frames = 60 if quick else 300
     recordings: dict[str, Press | Slide] = {"press": Press(n_frames=frames), "slide": Slide(n_frames=frames)}
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as held:
-        recipes = sorted(RECIPES.glob("*.toml"))
-        bundles = {path.stem: held.enter_context(exported(path.read_text(encoding="utf-8"))) for path in recipes}
+    with tempfile.TemporaryDirectory() as folder, exported_recipes() as bundles:
         for name, recording in recordings.items():
-            write_recording(Path(folder) / name, recording)
+            write_quietly(Path(folder) / name, recording)
             scene = Path(folder) / name / "scene.toml"
             rows += [
                 {"recording": name, **row} for row in _rows(scene, recording, bundles, Path(folder) / f"of-{name}")
@@ -57,9 +54,7 @@ def _rows(scene: Path, recording: Press | Slide, bundles: Mapping[str, Path], fo
         firsts: dict[str, Any] = {}
         for engine, pace, parallel in RUNS:
             results = folder.with_name(f"{folder.name}-{recipe}-{engine}-{pace}-{parallel}")
-            given = () if pace is None else ("--rate", str(pace))
-            given = (*given, "--parallel-frames", str(parallel)) if parallel > 1 else given
-            play(bundle, *given, engine=engine, scene=scene, results=results)
+            play(bundle, engine, scene=scene, results=results, rate=pace, parallel=parallel)
             records = read_results(results).records
             first = firsts.setdefault(engine, records)
             divergence = 1e3 * records["median_divergence"]
@@ -82,7 +77,7 @@ def _rows(scene: Path, recording: Press | Slide, bundles: Mapping[str, Path], fo
 
 
 def _largest(differences: Any, counted: np.ndarray) -> float | None:
-    """None where one is not known that counts."""
+    """Return the largest of the counted differences, None where one of them is unknown."""
     return _known(np.abs(np.asarray(differences)[counted]).max())
 
 

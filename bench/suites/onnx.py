@@ -1,4 +1,4 @@
-"""Exported graphs in ONNX Runtime on the processor: what each setting of a recipe costs in time and buys in accuracy.
+"""Exported graphs in ONNX Runtime on the processor: time and error of each setting of a recipe.
 
 One 512 x 640 view of a simulated press, 8 bit, noise of 2 grey levels, hot and dead pixels; ONNX Runtime with as many
 threads as torch. `contact` goes from frame to areas, ellipse and threshold; its peer is OpenCV's way from the frame to
@@ -61,7 +61,7 @@ TRACKING: list[dict[str, Any]] = [
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a setting of a graph."""
+    """Return a row per setting of a graph."""
     rounds = 3 if quick else 15
     scene = Press()
     known = _inputs(scene)
@@ -119,7 +119,7 @@ def _corners(view: Tensor, recipe: Recipe) -> Tensor:
 
 
 def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
-    """Number of nodes of the exported graph, and a call that runs it."""
+    """Return the number of nodes of the exported graph, and a call that runs it."""
     graphs = build(recipe)
     tensors = dict(known)
     tensors.update(zip(graphs["light"].outputs, _apply(graphs["light"], tensors), strict=True))

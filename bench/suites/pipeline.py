@@ -6,7 +6,7 @@ empty glass, real and gross contact, its ellipse, 700 corners followed forward a
 contact reached each point, gradients over 1.6 mm, their medians over the contact. What OpenCV's pipeline does, and why
 that and nothing else, is at the top of `bench/opencv_pipeline.py`.
 
-ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in the last run. Errors are
+ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in a run after that. Errors are
 against the exact truth: position_px RMS of the points in the last frame; areas and axes in percent, RMS over every
 third frame in which the gross contact has an eighth of its final area or more; divergence_um_mm at the points of the
 last frame (what a gauge length flattens is in it); medians over the contact, RMS over the same frames as areas.
@@ -16,11 +16,10 @@ last frame (what a gauge length flattens is in it); medians over the contact, RM
 - OpenCV's contact is convex by construction (its hull), as the true one is here; fingerflow does not assume it.
 """
 
-import contextlib
-import io
 import json
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,20 +27,13 @@ from numpy.typing import NDArray
 
 from bench import opencv_pipeline
 from bench.opencv_pipeline import Measured, Rig
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow import load_scene, process
-from fingerflow.synthetic import Press, SyntheticScene, write_recording
+from fingerflow.synthetic import Press
 
 PRESS = Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3)
-QUICK_PRESS = Press(
-    n_frames=24,
-    frame_rate=24.0,
-    frames_before_trigger=1,
-    frame_shape=(224, 560),
-    finger=(3.6, 3.1),
-    semi_axes=(2.6, 2.2),
-)
 #: What fingerflow calls the fields of `Measured`.
 OUTPUTS = {
     "real_area": "real_contact_area",
@@ -57,23 +49,14 @@ PEER = "opencv"
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a pipeline."""
+    """Return a row per pipeline."""
     press = QUICK_PRESS if quick else PRESS
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "press"
         write_quietly(recording, press)
-        measured: dict[str, Measured] = {}
-
-        def keep(name: str, pipeline: Callable[[Path, Press], Measured]) -> Callable[[], None]:
-            def call() -> None:
-                measured[name] = pipeline(recording, press)
-
-            return call
-
-        calls = {name: keep(name, pipeline) for name, pipeline in PIPELINES.items()}
+        calls = {name: partial(pipeline, recording, press) for name, pipeline in PIPELINES.items()}
         times = time_in_turns(calls, PEER, rounds=2 if quick else 5)
-        for name in calls.keys() - measured.keys():
-            calls[name]()
+        measured = {name: call() for name, call in calls.items()}
     return [
         {
             "pipeline": name,
@@ -83,12 +66,6 @@ def run(quick: bool) -> list[Row]:
         }
         for name in PIPELINES
     ]
-
-
-def write_quietly(folder: Path, scene: SyntheticScene) -> None:
-    """Writes the recording without a progress bar between the tables."""
-    with contextlib.redirect_stderr(io.StringIO()):
-        write_recording(folder, scene)
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

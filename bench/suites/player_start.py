@@ -8,68 +8,62 @@ it (VmHWM), over all frames of a run.
 """
 
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-from bench.bare_environment import ONNX, make_environment, variables
+from bench.bare_environment import ONNX, make_environment
 from bench.rows import Row, Skipped
-from bench.streams import exported
-
-RECIPES = Path(__file__).parents[2] / "export"
+from bench.streams import exported_recipes, play
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a recipe and engine."""
+    """Return a row per recipe and engine."""
     if not sys.platform.startswith("linux"):
         raise Skipped("peak memory is read from /proc")
     starts, frames = (2, 20) if quick else (5, 1000)
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, exported_recipes() as bundles:
         python = make_environment(Path(folder) / "env", ONNX)
-        for path in sorted(RECIPES.glob("*.toml")):
-            with exported(path.read_text(encoding="utf-8")) as bundle:
-                for engine in ("native", "onnx"):
-                    homes = [Path(folder) / f"{path.stem}-{engine}-{n}" for n in range(starts)]
-                    played = [_played(python, bundle, engine, home, frames) for home in homes]
-                    rows.append(
-                        {
-                            "recipe": path.stem,
-                            "engine": engine,
-                            "first_start_s": played[0][0],
-                            "start_s": statistics.median(seconds for seconds, _ in played[1:]),
-                            "peak_mib": max(mib for _, mib in played),
-                            "starts": starts,
-                            "frames": frames,
-                        }
-                    )
+        for recipe, bundle in bundles.items():
+            for engine in ("native", "onnx"):
+                homes = [Path(folder) / f"{recipe}-{engine}-{n}" for n in range(starts)]
+                played = [_played(python, bundle, engine, home, frames) for home in homes]
+                rows.append(
+                    {
+                        "recipe": recipe,
+                        "engine": engine,
+                        "first_start_s": played[0][0],
+                        "start_s": statistics.median(seconds for seconds, _ in played[1:]),
+                        "peak_mib": max(mib for _, mib in played),
+                        "starts": starts,
+                        "frames": frames,
+                    }
+                )
     return rows
 
 
 def _played(python: Path, bundle: Path, engine: str, results: Path, frames: int) -> tuple[float, float]:
     """Return seconds until the first record of a stream is on the disk, and the peak memory in MiB."""
-    command = [str(python), "-m", "fingerflow.player", "--source", "synthetic", "--frames", str(frames)]
-    command += ["--engine", engine, "--page", "off", "--output", str(results)]
     records = results / "records.bin"
     seconds, mib = 0.0, 0.0
     begin = time.perf_counter()
-    with subprocess.Popen(
-        command, cwd=bundle, env=variables(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as running:
-        while running.poll() is None:
-            if not seconds and records.exists() and records.stat().st_size:
-                seconds = time.perf_counter() - begin
-            mib = max(mib, _peak_mib(running.pid))
-            time.sleep(0.005)
-    if running.returncode or not seconds:
-        raise RuntimeError(f"the player ended with {running.returncode}, and its first record came after {seconds} s")
+
+    def watch(pid: int) -> None:
+        nonlocal seconds, mib
+        if not seconds and records.exists() and records.stat().st_size:
+            seconds = time.perf_counter() - begin
+        mib = max(mib, _peak_mib(pid))
+
+    play(bundle, engine, frames=frames, python=python, watch=watch, watch_s=0.005, results=results)
+    if not seconds:
+        raise RuntimeError("the player ended before its first record was seen")
     return seconds, mib
 
 
 def _peak_mib(process: int) -> float:
-    """Return the most that has been resident so far; 0 of a process that has just ended."""
+    """Return the peak resident memory so far; 0 for a process that has just ended."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:

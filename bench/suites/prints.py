@@ -1,4 +1,4 @@
-"""What `process` makes of skins like prints: synthetic ones (loop, whorl, arch) and pictures of real fingers.
+"""Errors of `process` on skins like prints: synthetic ones (loop, whorl, arch) and pictures of real fingers.
 
 The press of `make demo`, 300 frames of two 512 x 640 px views (a small one of 40 with --quick), with the skin of the
 row; `rings` is that of the demo. Noise of 2 grey levels, default settings, errors against the exact truth:
@@ -15,7 +15,6 @@ row; `rings` is that of the demo. Noise of 2 grey levels, default settings, erro
 - Gross truth is the ellipse in which skin may touch. Where a valley or a gap of the skin lies on it, nothing shows it.
 """
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +23,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bench.recordings import QUICK_PRESS, processed
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
-from fingerflow import load_scene, process
 from fingerflow.synthetic import FingerprintTexture, Press, SyntheticScene, scene_of_print
 
 FINGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "fingers"
@@ -47,15 +45,11 @@ Array = NDArray[np.float64]
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a skin."""
-    rows: list[Row] = []
-    for name, press in _presses(quick):
-        with tempfile.TemporaryDirectory() as folder:
-            recording = Path(folder) / "press"
-            write_quietly(recording, press)
-            result = process(load_scene(recording / "scene.toml"), OUTPUTS, progress=False)
-        rows.append({"skin": name, **errors(result, press, middle=5.0 if quick else 10.0)})
-    return rows
+    """Return a row per skin."""
+    middle = 5.0 if quick else 10.0
+    return [
+        {"skin": name, **errors(processed(press, OUTPUTS), press, middle=middle)} for name, press in _presses(quick)
+    ]
 
 
 def _presses(quick: bool) -> Iterator[tuple[str, Press]]:
@@ -75,7 +69,7 @@ def _presses(quick: bool) -> Iterator[tuple[str, Press]]:
 def errors(
     result: xr.Dataset, scene: SyntheticScene, middle: float = 10.0, large: float = 40.0
 ) -> dict[str, float | None]:
-    """What the columns above say, for a result of a scene; None where no frame counts.
+    """Return the error columns of a result of a scene; None where no frame counts.
 
     Args:
         middle, large: gross areas in mm² from which frames count in the one column and in the other.
@@ -113,7 +107,7 @@ def errors(
 
 
 def _at_points(result: xr.Dataset, scene: SyntheticScene, area: Array) -> tuple[Array, Array]:
-    """Errors of the onset (frames) at the points that touch late enough, and distances (px) from the true places."""
+    """Return errors of the onset (frames) where points touch late enough, and distances (px) from true positions."""
     truth, last = scene.truth, scene.n_frames - 1
     pixels = result["position_px"].values
     material = truth.material(truth.topography_positions(pixels[0]), 0)

@@ -20,9 +20,10 @@ import xarray as xr
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from bench.launches import is_call
+from bench.recordings import write_quietly
 from bench.rows import Row
 from fingerflow.pipeline.run import process_together
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import Press
 
 _SMALL: dict[str, Any] = {"frame_shape": (96, 240), "finger": (1.8, 1.5), "semi_axes": (1.3, 1.1)}
 _SHIFTS = [
@@ -38,7 +39,7 @@ _SHIFTS = [
 
 
 def run(quick: bool) -> list[Row]:
-    """Two rows for each number of recordings."""
+    """Return two rows for each number of recordings."""
     frames, numbers = (9, (1, 2)) if quick else (64, (1, 2, 4, 8))
     with tempfile.TemporaryDirectory() as folder:
         scenes = [_written(Path(folder) / f"{number}", frames, number, quick) for number in range(numbers[-1])]
@@ -48,7 +49,7 @@ def run(quick: bool) -> list[Row]:
 def _written(folder: Path, frames: int, number: int, small: bool) -> Path:
     size = _SMALL if small else {}
     press = Press(n_frames=frames, frame_rate=64.0, frames_before_trigger=2, shift=_SHIFTS[number], **size)
-    write_recording(folder, press)
+    write_quietly(folder, press)
     return folder / "scene.toml"
 
 
@@ -74,7 +75,7 @@ def _rows(scenes: Sequence[Path], frames: int) -> list[Row]:
 
 
 def _one_by_one(scenes: Sequence[Path], device: str, engine: str) -> list[xr.Dataset]:
-    # Not by `process`, of which a thread takes a part that nobody would count.
+    # Not by `process`: a part of it runs in a thread that is not counted.
     return [process_together([scene], device=device, engine=engine)[0] for scene in scenes]
 
 
@@ -82,7 +83,7 @@ _WAYS: dict[str, Callable[..., list[xr.Dataset]]] = {"one by one": _one_by_one, 
 
 
 def _rate(go: Callable[..., list[xr.Dataset]], scenes: Sequence[Path], frames: int) -> float:
-    """Frames a second of the second run; the first one sets up what is set up once."""
+    """Return frames a second of the second run, after a run of warm-up."""
     for _ in range(2):
         begun = time.perf_counter()
         go(scenes, device="cuda", engine="torch")
@@ -97,7 +98,7 @@ def _deviation(found: xr.Dataset, expected: xr.Dataset) -> float:
 
 
 class _Calls(TorchDispatchMode):
-    """Counts; while somebody does, the portable form computes, as on an accelerator."""
+    """Counter of calls; under a dispatch mode the portable form computes, as on an accelerator."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # torch's states no types

@@ -1,4 +1,4 @@
-"""The verification of tracked points: how many of those that are beside their skin it finds, and how many it drops.
+"""Verification of tracked points: the share of wrong points that it finds, and of right points that it drops.
 
 Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
 ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;
@@ -20,11 +20,11 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import torch
 
+from bench.environment import one_thread
+from bench.recordings import write_quietly
 from bench.rows import Row
 from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
-from bench.suites.pipeline import write_quietly
 from fingerflow import load_scene, process
 from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -43,7 +43,7 @@ Check = tuple[Verification, Array, Array, Array, Array]
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a recording."""
+    """Return a row per recording."""
     size = QUICK if quick else SMALL
     frames = 16 if quick else 48
     usual: dict[str, Any] = {"n_frames": frames, "frame_rate": float(frames), "frames_before_trigger": 2, **size}
@@ -67,7 +67,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, float | None]:
-    """The cells of a row; positions that the check takes away are those of a run without it."""
+    """Return the cells of a row; positions are those of a run without the check."""
     loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
     check = Verification.check
 
@@ -84,19 +84,13 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
         return np.zeros(points.shape[1], dtype=bool)
         yield
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with one_thread():
         with patch.object(Verification, "check", timed):
             status = process(loaded, ["status"])["status"].values
         with patch.object(Verification, "check", trusting):
             position = process(loaded, ["position_px"])["position_px"].values
         found = _put_beside(*last[0])
-    finally:
-        torch.set_num_threads(threads)
-    truth = scene.truth
-    material = truth.material(truth.topography_positions(position[0]), 0)
-    true = np.stack([truth.topography_pixels(truth.positions(material, frame)) for frame in range(len(position))])
+    true = np.stack([scene.truth.follow(position[0], 0, frame) for frame in range(len(position))])
     if jump:
         true[scene.n_frames // 2 :, :, 0] += JUMP_PX
     error = np.linalg.norm(position - true, axis=-1)
@@ -115,7 +109,7 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
 def _put_beside(
     verification: Verification, images: Array, points: Array, status: Array, warp: Array
 ) -> dict[str, float | None]:
-    """Share of points beside their place that fail."""
+    """Return the share of displaced points that fail the check, by distance."""
     generator, cells = np.random.default_rng(5), dict[str, float | None]()
     tracked = status[-1] == TrackStatus.TRACKED
     for name, (least, most) in BESIDE.items():

@@ -31,7 +31,7 @@ PEER = "to rest, one press"
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a way."""
+    """Return a row per way."""
     elements, duration = (41, 0.005) if quick else (501, 0.05)
 
     def moved(tolerance: float) -> Tensor:

@@ -34,14 +34,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
+from bench.environment import one_thread
 from bench.friction_bound import friction_bound
+from bench.recordings import write_quietly
 from bench.rows import Cell, Row, number
 from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import critical_stuck_area
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
-from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture, write_recording
+from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture
 
 SEEDS = range(100, 200)
 _ORDER = ("wrong", "none", "right")
@@ -52,12 +53,12 @@ _NOISE = 0.01  # of d^2, for the bound
 
 
 def run(quick: bool) -> list[Row]:
-    """The row of all trials and a row each, the wrong ones first, then those without a verdict."""
+    """Return the row of all trials and a row per trial, wrong verdicts first, then missing ones."""
     return summed([measured(seed) for seed in (SEEDS[:2] if quick else SEEDS)])
 
 
 def trial(seed: int) -> PartialSlip:
-    """The random trial of a seed."""
+    """Return the random trial of a seed."""
     draw = np.random.default_rng(seed)
     static = draw.uniform(0.5, 1.5)
     length = draw.uniform(2.4, 2.95)
@@ -85,18 +86,15 @@ def trial(seed: int) -> PartialSlip:
 
 
 def measured(seed: int) -> dict[str, Cell]:
-    """The row of a trial, which is rendered and processed."""
+    """Render and process a trial; return its row."""
     known = trial(seed)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder:
-        write_recording(Path(folder) / "trial", known)
+    with tempfile.TemporaryDirectory() as folder, one_thread():
+        write_quietly(Path(folder) / "trial", known)
         scene = load_scene(Path(folder) / "trial" / "scene.toml")
         tracking = replace(scene.tracking, points=600, window_px=17, min_distance_px=4.0)
         begun = time.process_time()
         result = process(replace(scene, tracking=tracking), ["stuck_ratio"], device="cpu")
         seconds = time.process_time() - begun
-    torch.set_num_threads(threads)
     share = np.array([known.stuck_share(frame) for frame in range(known.n_frames)])
     error = np.abs(result["stuck_ratio"].values - share)[share > 0]
     found = error[np.isfinite(error)]
@@ -133,7 +131,7 @@ def measured(seed: int) -> dict[str, Cell]:
 
 
 def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
-    """The rows of trials after one that counts them, in `_ORDER`."""
+    """Return the rows of trials in `_ORDER`, after one that sums them up."""
     known = [row for row in rows if row["within_002"] is not None]
     frames = sum(number(row, "frames") for row in rows)
     seen = [number(row, "frames") * (1 - number(row, "unknown") / 100) for row in known]

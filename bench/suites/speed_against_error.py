@@ -41,7 +41,7 @@ from bench.environment import describe
 from bench.errors_of_tracks import error_cells
 from bench.kornia_tracker import track_kornia
 from bench.rows import Row, number
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph, photograph_pair
 from bench.timing import Timing, time_in_turns
 from bench.trackers import Found, Tracker, follow_fingerflow, track_fingerflow, track_opencv
 from fingerflow.kernels import tensors as kernels
@@ -67,8 +67,9 @@ _EXPORT = Path(__file__).resolve().parents[2] / "export"
 
 
 class Way(NamedTuple):
-    """A tracker at work: the call that is timed and its frames, what it finds in K frames, how far (K, 1, 2) px the
-    picture has moved in them, and the points (1, N, 2) px."""
+    """Work of a tracker: the timed call and its number of frames, points found in K frames, the motion (K, 1, 2) px of
+    the picture in them, and the points (1, N, 2) px.
+    """
 
     call: Callable[[], object]
     frames: int
@@ -78,7 +79,7 @@ class Way(NamedTuple):
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a window and tracker."""
+    """Return a row per window and tracker."""
     shape = QUICK_SHAPE if quick else SHAPE
     corners = choose_points(shape, 150 if quick else 700, border=18)
     points = corners + torch.rand(corners.shape, generator=torch.Generator().manual_seed(0))
@@ -110,10 +111,11 @@ def write_pairs(path: str) -> None:
     """Write the pairs of frames for `bench.dic_codes`, with a grid of points (N, 2) and the bound (N,) px^2 of each."""
     pairs, (height, width) = _pairs(SHAPE), SHAPE
     grid = torch.cartesian_prod(*(torch.arange(30, size - 20, dic_codes.STEP) for size in (width, height)))[None]
+    previous, current = (torch.cat(frames)[:, 0].numpy() for frames in zip(*pairs.frames, strict=True))
     np.savez(
         path,
-        previous=torch.cat(pairs.previous)[:, 0].numpy(),
-        current=torch.cat(pairs.current)[:, 0].numpy(),
+        previous=previous,
+        current=current,
         moved=pairs.moved.numpy(),
         points=grid[0].numpy(),
         variance=error_bound(grid, NOISE, dic_codes.WINDOW).diagonal(dim1=1, dim2=2).mean(1).numpy(),
@@ -122,21 +124,21 @@ def write_pairs(path: str) -> None:
 
 
 class _Pairs(NamedTuple):
-    previous: list[Tensor]
-    current: list[Tensor]
+    """K pairs of frames, and the motion (K, 1, 2) px of the picture in each."""
+
+    frames: list[tuple[Tensor, Tensor]]
     moved: Tensor
 
 
 def _pairs(shape: tuple[int, int]) -> _Pairs:
     motions = [(shift, 0.7 * shift) for shift in SHIFTS]
-    previous = [photograph(clean_picture(shape, (0.0, 0.0)), NOISE, seed=2 * n) for n in range(len(motions))]
-    current = [photograph(clean_picture(shape, m), NOISE, seed=2 * n + 1) for n, m in enumerate(motions)]
-    return _Pairs(previous, current, torch.tensor(motions)[:, None])
+    pairs = [photograph_pair(shape, motion, NOISE, number) for number, motion in enumerate(motions)]
+    return _Pairs(pairs, torch.tensor(motions)[:, None])
 
 
 def _of_pairs(track: Tracker, pairs: _Pairs, points: Tensor, window: int) -> Way:
-    found = [track(*pair, points, window) for pair in zip(pairs.previous, pairs.current, strict=True)]
-    call = partial(track, pairs.previous[1], pairs.current[1], points, window)
+    found = [track(*pair, points, window) for pair in pairs.frames]
+    call = partial(track, *pairs.frames[1], points, window)
     return Way(call, 1, found, pairs.moved, points)
 
 
@@ -181,8 +183,7 @@ def _label(tracker: str, window: int) -> str:
 
 
 class _Style(NamedTuple):
-    """Of a line: colour of all that a project makes, filling for the variant; where windows and the name stand, in
-    points from the markers and from the last one."""
+    """Style of a line: colour of the project, fill of the variant, offsets (points) of window labels and the name."""
 
     colour: str
     filling: str
@@ -207,7 +208,7 @@ _HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Time of a point against its error over the bound, one line a tracker, one marker a window."""
+    """Draw the time of a point against its error over the bound: a line per tracker, a marker per window."""
     figure, axes = plt.subplots(figsize=(8.4, 5), dpi=200, layout="constrained")
     axes.axhline(1, color="0.65", linewidth=0.8, zorder=0)
     for name, style in _STYLES.items():

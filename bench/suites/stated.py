@@ -1,5 +1,5 @@
-"""What the deviations of medians and energy hold: presses at several frame rates, `process` with default settings,
-truth by formulas.
+"""Errors of medians and energy over their stated deviations: presses at several frame rates, `process` with default
+settings, truth by formulas.
 
 The fewer frames a second, the more is missing before the first frame that shows contact. Eight presses a rate, of which
 skin, noise and the moment of the first contact within a frame differ: an error of onset stays to the end, so that all
@@ -15,10 +15,8 @@ the contact, once the pull has drawn skin in over the rear rim: of their medians
 entry. What the deviation takes of points that moved in was set on the first five; the others had no part in it.
 """
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,18 +24,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bench.contact_grid import energy_since_onset, skin_in_contact
+from bench.recordings import QUICK_PRESS, processed
 from bench.rows import Row
-from bench.suites.pipeline import QUICK_PRESS, write_quietly
-from fingerflow import process
 from fingerflow.synthetic import Press, RidgeTexture, Slide
 
 RATES, PRESSES = (40.0, 60.0, 300.0), 8  # Hz, of presses of a second
 MEDIANS = ("divergence", "curl")
-_LOOKED_AT, _ENERGIES = 40, 8  # frames of a press
+_COMPARED, _ENERGIES = 40, 8  # frames of a press
 _STEP_MM = 0.1
 Array = NDArray[np.float64]
 ALIKE, SLIDES = "slides", 5
-_FROM, _EVERY = 0.4, 3  # of a slide's time, and frames, that are looked at
+_FROM, _EVERY = 0.4, 3  # share of a slide's time, and step of frames, from which frames are compared
 _OF_GRADIENT: dict[str, Callable[[Array], Array]] = {
     "divergence": lambda gradient: gradient[:, 0, 0] + gradient[:, 1, 1],
     "curl": lambda gradient: gradient[:, 1, 0] - gradient[:, 0, 1],
@@ -45,7 +42,7 @@ _OF_GRADIENT: dict[str, Callable[[Array], Array]] = {
 
 
 class Compared(NamedTuple):
-    """Of F frames: what was measured, its deviation, and the truth."""
+    """Measured values, their stated deviations and the truth, in F frames."""
 
     measured: Array
     stated: Array
@@ -53,15 +50,13 @@ class Compared(NamedTuple):
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a frame rate and quantity."""
+    """Return a row per frame rate and quantity."""
     rows: list[Row] = []
     for presses in [[QUICK_PRESS]] if quick else [_presses(rate) for rate in RATES]:
         found: dict[str, list[Compared]] = {name: [] for name in (*MEDIANS, "energy")}
         shares = []
         for press in presses:
-            with tempfile.TemporaryDirectory() as folder:
-                write_quietly(Path(folder) / "press", press)
-                result = process(Path(folder) / "press" / "scene.toml")
+            result = processed(press)
             for name in MEDIANS:
                 found[name].append(_median(result, press, name))
             energy, share = _energy(result, press)
@@ -80,13 +75,10 @@ def _of_slides(what: str, slides: list[Slide]) -> list[Row]:
         frames = np.arange(int(_FROM * slide.n_frames), slide.n_frames, _EVERY)
         each = [slide.truth.entry_gradient(skin_in_contact(slide, int(k), _STEP_MM), int(k)) for k in frames]
         x, y = random.uniform(-1.5, 1.5, 2)
-        with tempfile.TemporaryDirectory() as folder:
-            write_quietly(Path(folder) / "slide", replace(slide, texture=RidgeTexture(centre=(x, y))))
-            result = process(Path(folder) / "slide" / "scene.toml")
+        result = processed(replace(slide, texture=RidgeTexture(centre=(x, y))))
         for name in MEDIANS:
             true = np.array([np.nanmedian(_OF_GRADIENT[name](one)) for one in each])
-            measured, stated = (result[f"median_{name}{end}"].values[frames] for end in ("", "_std"))
-            found[name].append(Compared(measured, stated, true))
+            found[name].append(_compared(result, f"median_{name}", frames, true))
     return [{"what": what, "quantity": name, **_held(found[name])} for name in MEDIANS]
 
 
@@ -126,19 +118,22 @@ def _presses(rate: float) -> list[Press]:
 
 
 def _median(result: xr.Dataset, press: Press, name: str) -> Compared:
-    frames = np.arange(0, press.n_frames, max(1, press.n_frames // _LOOKED_AT))
+    frames = np.arange(0, press.n_frames, max(1, press.n_frames // _COMPARED))
     true = np.array([getattr(press.truth.medians(int(k)), name) for k in frames])
-    measured, stated = (result[f"median_{name}{end}"].values[frames] for end in ("", "_std"))
-    return Compared(measured, stated, true)
+    return _compared(result, f"median_{name}", frames, true)
 
 
 def _energy(result: xr.Dataset, press: Press) -> tuple[Compared, float]:
-    """And the share of the contact's energy in the last frame."""
+    """Return the energies, and the measured share of the contact's energy in the last frame."""
     frames = np.arange(press.n_frames - 1, 0, -max(1, press.n_frames // _ENERGIES))
     frames = frames[[press.truth.gross_contact_area_mm2(int(k)) > 10 for k in frames]]
     contact, between = np.array([energy_since_onset(press, result, int(k), _STEP_MM) for k in frames]).T
-    measured, stated = (result[f"strain_energy{end}"].values[frames] for end in ("", "_std"))
-    return Compared(measured, stated, between), float(measured[0] / contact[0])
+    compared = _compared(result, "strain_energy", frames, between)
+    return compared, float(compared.measured[0] / contact[0])
+
+
+def _compared(result: xr.Dataset, variable: str, frames: NDArray[np.intp], true: Array) -> Compared:
+    return Compared(result[variable].values[frames], result[f"{variable}_std"].values[frames], true)
 
 
 def _held(presses: list[Compared]) -> Row:

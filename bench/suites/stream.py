@@ -6,29 +6,28 @@ Runtime (`onnx`), as fast as it goes, with ONNX Runtime one frame after the othe
 better of these rates where that is less. As fast as it goes is the median of five runs, with the slowest and the
 fastest.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
-waiting. `stalled` is what the machine takes from programs that only read the clock, in gaps of more than 1 ms, mean of
-3 s before and after: on cores that do other work latencies mean little.
+waiting. `load` is how many processes the machine had to run on average when the row ended: on cores that do other work
+latencies mean little.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
 from bench.rows import Row
-from bench.stalls import stalled_ms_per_s
-from bench.streams import exported, play
+from bench.streams import exported_recipes, play
 
-RECIPES = Path(__file__).parents[2] / "export"
 CAMERA = 300  # frames a second
 FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
 
 
 def run(quick: bool) -> list[Row]:
-    """Two rows or three a recipe and engine."""
+    """Return two or three rows per recipe and engine."""
     rows: list[Row] = []
-    for path in sorted(RECIPES.glob("*.toml")):
-        with exported(path.read_text(encoding="utf-8")) as bundle:
+    with exported_recipes() as bundles:
+        for recipe, bundle in bundles.items():
             for engine, beside in (("native", (1,)), ("onnx", (1, 2))):
-                of = {"recipe": path.stem, "engine": engine}
+                of = {"recipe": recipe, "engine": engine}
                 free = {parallel: _free(bundle, engine, parallel, quick) for parallel in beside}
                 best = max(free, key=lambda parallel: free[parallel]["rate_hz"])
                 pace = min(CAMERA, round(free[best]["rate_hz"] * 2 / 3))
@@ -46,10 +45,7 @@ def _free(bundle: Path, engine: str, parallel: int, quick: bool) -> dict[str, An
 def _played(bundle: Path, engine: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
     seconds = 2 if quick else 60
     count = seconds * pace if pace else FRAMES[engine] // (5 if quick else 1)
-    given = () if pace is None else ("--rate", str(pace))
-    side = ("--parallel-frames", str(parallel)) if parallel > 1 else ()
-    before = stalled_ms_per_s()
-    summary = play(bundle, "--frames", str(count), *side, *given, engine=engine)
+    summary = play(bundle, engine, frames=count, rate=pace, parallel=parallel)
     return {
         "side_by_side": parallel,
         "asked_hz": pace,
@@ -57,7 +53,7 @@ def _played(bundle: Path, engine: str, parallel: int, pace: int | None, quick: b
         "frames": summary["processed"],
         "dropped": summary["dropped"],
         "overruns": summary["overruns"],
-        "stalled_ms_per_s": (before + stalled_ms_per_s()) / 2,
+        "load": os.getloadavg()[0],
         # Without a pace the queue is always full, and latency is the wait in it.
         **({f"{k}_ms": v for k, v in summary["latency_ms"].items()} if pace else {}),
     }

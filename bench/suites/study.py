@@ -20,6 +20,7 @@ second that one scheduler can give out, and how many workers of one thread keep 
 import multiprocessing
 import os
 import resource
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -31,8 +32,9 @@ import cv2
 import torch
 from distributed import LocalCluster
 
+from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row, number
-from bench.suites.pipeline import PIPELINES, QUICK_PRESS, write_quietly
+from bench.suites.pipeline import PIPELINES
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
@@ -46,7 +48,7 @@ WORKERS = 2
 
 
 def run(quick: bool) -> list[Row]:
-    """A row for the study by workers, one for OpenCV, one for empty tasks."""
+    """Return rows of the study with two workers and with one, of OpenCV, and of empty tasks."""
     count = QUICK_RECORDINGS if quick else RECORDINGS
     press = QUICK_PRESS if quick else Press()
     with tempfile.TemporaryDirectory() as name:
@@ -62,7 +64,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def write_study(folder: Path, press: Press, count: int) -> Path:
-    """A study of one recording under so many names; the folder of the first."""
+    """Write a study of one recording under ``count`` names; return the folder of the first."""
     first = folder / "p01/0um/trial0001"
     write_quietly(first, press)
     for trial in range(2, count + 1):
@@ -75,23 +77,18 @@ def write_study(folder: Path, press: Press, count: int) -> Path:
 
 
 def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, str | float]:
-    results = folder / f"results-{workers}"
-    manifest = folder / "study.toml"
-    text = manifest.read_text(encoding="utf-8")
-    manifest.write_text(text.replace('results = "results"', f'results = "{results.name}"'), encoding="utf-8")
-    found: list[float] = []
+    shutil.rmtree(folder / "results", ignore_errors=True)  # of the row before
     with _used() as used:
-        loaded = load_manifest(manifest)
-        summary = run_study(loaded, workers=workers, progress=False)
-        write_tables(loaded)
-        found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
+        study = load_manifest(folder)
+        summary = run_study(study, workers=workers, progress=False)
+        write_tables(study)
     start = time.process_time()
-    loaded = load_manifest(manifest)
-    if plan_run(loaded):
+    study = load_manifest(folder)
+    if plan_run(study):
         raise RuntimeError("a study that is done would be run again")
-    write_tables(loaded)
+    write_tables(study)
     again = 1e3 * (time.process_time() - start) / count
-    manifest.write_text(text, encoding="utf-8")
+    found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
     if len(found) != count:
         raise RuntimeError(f"{len(found)} of {count} trials were measured: {summary}")
     frames = count * press.n_frames
@@ -125,7 +122,7 @@ def _nothing(_: int) -> int:
 
 
 def _empty_tasks(count: int, trial_s: float) -> dict[str, str | float]:
-    """Of a worker's own time nothing is counted: it is a process apart, as the client with the scheduler is here."""
+    """Measure client and scheduler, which share this process; the worker's time is that of another process."""
     spent = []
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         for many in (count // 10, count):  # what starting takes falls out of the difference
@@ -152,11 +149,11 @@ def _raise(name: str, error: BaseException) -> int:
 
 @contextmanager
 def _used() -> Iterator[dict[str, float]]:
-    """Seconds by the clock and of the processors, those of child processes that have ended included."""
+    """Yield a record that holds, afterwards, wall-clock and processor seconds, ended child processes included."""
     found: dict[str, float] = {}
     before, start = _processors(), time.perf_counter()
     yield found
-    # Workers are its children, and counted when it has ended; the next row starts it anew.
+    # Workers are children of the fork server and count once it has ended; the next row starts another.
     forkserver._forkserver._stop()  # type: ignore[attr-defined]
     found |= {"seconds": time.perf_counter() - start, "cpu": _processors() - before}
 

@@ -1,12 +1,13 @@
-"""Memory of a worker of `fingerflow study` over many small recordings: does anything of one stay?
+"""Growth of the memory of a worker of `fingerflow study` over many small recordings.
 
 1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
 which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many
-names. A row every tenth of them: own_mb is the memory of the worker's own (anonymous pages), resident_mb counts pages
+names. A row every tenth of them: own_mb is the worker's own memory (resident and not shared), resident_mb counts pages
 of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
 with its standard error, and the same of the client, which holds the scheduler.
 """
 
+import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -15,7 +16,6 @@ from unittest.mock import patch
 import numpy as np
 import psutil
 
-from bench.peak_memory import STATUS, sizes_of
 from bench.rows import Cell, Row, Skipped, number
 from bench.suites.study import write_study
 from fingerflow.study.manifest import load_manifest
@@ -34,9 +34,9 @@ PRESS = Press(
 
 
 def run(quick: bool) -> list[Row]:
-    """A row every tenth of the recordings, and the slope."""
-    if not STATUS.exists():
-        raise Skipped(f"memory is read from {STATUS}, which only Linux has")
+    """Return a row every tenth of the recordings, and the slope."""
+    if not sys.platform.startswith("linux"):
+        raise Skipped("what a process shares is known on Linux only")
     count = QUICK_RECORDINGS if quick else RECORDINGS
     with tempfile.TemporaryDirectory() as name, patch("fingerflow.study.cluster._RENEWED_AFTER", 10**9):
         folder = Path(name)
@@ -52,7 +52,7 @@ def run(quick: bool) -> list[Row]:
 
 
 class _Watch(threading.Thread):
-    """Looks at the worker, the one child that computes, whenever so many more results are there."""
+    """Reading of the worker, the one child that computes, after every ``every`` results."""
 
     def __init__(self, results: Path, every: int) -> None:
         super().__init__(daemon=True)
@@ -75,27 +75,31 @@ class _Watch(threading.Thread):
             if done >= self._every * (len(self.rows) + 1):
                 if self._worker is None:
                     client = psutil.Process()
-                    # The process that it is forked from is as large, and a child of the client.
+                    # The process from which it is forked is as large, and a child of the client.
                     self._worker = max(
                         client.children(recursive=True),
                         key=lambda one: (one.ppid() != client.pid, one.memory_info().rss),
                     )
                 try:
-                    self.rows.append(_looked_at(self._worker, done))
-                except (psutil.NoSuchProcess, KeyError, OSError):  # it may have ended with the last recording
+                    self.rows.append(_row_of(self._worker, done))
+                except (psutil.NoSuchProcess, KeyError, OSError):  # the worker may have ended with the last recording
                     return
                 print(self.rows[-1], flush=True)
 
 
-def _looked_at(worker: psutil.Process, done: int) -> Row:
-    client = psutil.Process()
+def _row_of(worker: psutil.Process, done: int) -> Row:
     return {
         "recordings": done,
-        "own_mb": sizes_of(worker.pid)["RssAnon"] / 1e6,
+        "own_mb": _own_mb(worker),
         "resident_mb": worker.memory_info().rss / 1e6,
-        "client_mb": sizes_of(client.pid)["RssAnon"] / 1e6,
+        "client_mb": _own_mb(psutil.Process()),
         "cpu_s": sum(worker.cpu_times()[:2]),
     }
+
+
+def _own_mb(process: psutil.Process) -> float:
+    memory = process.memory_info()
+    return float(memory.rss - memory.shared) / 1e6
 
 
 def _slopes(rows: list[Row]) -> Row:

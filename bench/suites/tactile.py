@@ -1,4 +1,4 @@
-"""Markers of real soft sensors, followed with default settings, against spots that OpenCV finds in each frame alone.
+"""Markers of real soft sensors, tracked with default settings, against spots that OpenCV finds in each frame alone.
 
 The clips are those of a folder `shared/data/tactile` beside the checkout, which is no part of this project.
 
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from bench.environment import one_thread
 from bench.rows import Row, Skipped
 from fingerflow import process
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -29,7 +29,7 @@ _NEAR_PX, _OFF_PX, _INSIDE_PX = 1.5, 3.0, 12.0
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a clip; the shortest alone with --quick."""
+    """Return a row per clip; the shortest alone with --quick."""
     clips = sorted(CLIPS.glob("*.avi"), key=lambda clip: clip.stat().st_size)
     if not clips:
         raise Skipped(f"{CLIPS} holds no clip")
@@ -37,16 +37,13 @@ def run(quick: bool) -> list[Row]:
 
 
 def _measured(clip: Path) -> Row:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder, open_recording(clip) as recording:
+    with tempfile.TemporaryDirectory() as folder, open_recording(clip) as recording, one_thread():
         scene = Path(folder) / "scene.toml"
         scene.write_text(gel_scene_text(clip.as_posix(), recording.frame_shape, 0.06), encoding="utf-8")
         begun = time.process_time()
         result = process(scene)
         seconds = time.process_time() - begun
         pictures = recording.read()
-    torch.set_num_threads(threads)
     near, count, off, height, width = [], [], 0, *pictures.shape[1:]
     for picture, points in zip(pictures, result["position_px"].values, strict=True):
         spots = dark_spots(picture)
@@ -73,7 +70,7 @@ def _measured(clip: Path) -> Row:
 
 
 def dark_spots(frame: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Centroids (M, 2) px of round dark spots that the border does not touch: a local threshold, connected parts."""
+    """Return centroids (M, 2) px of round dark spots off the border, by a local threshold and connected components."""
     smooth = cv2.GaussianBlur(frame, (0, 0), 1.0)
     dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, 51, 18)
     _, _, stats, centres = cv2.connectedComponentsWithStats(dark)

@@ -20,16 +20,15 @@ from torch import Tensor
 
 from bench.errors_of_tracks import error_cells, root_mean_square
 from bench.rows import Cell, Row, number
-from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
+from bench.skin import QUICK_SHAPE, SHAPE, choose_points, error_bound, photograph_pair
 from bench.timing import time_in_turns
 from bench.trackers import TRACKERS
 
 WINDOW = 21
-STILL = (0.0, 0.0)
 
 
 def run(quick: bool) -> list[Row]:
-    """One row a noise, start, shift and tracker, and the pooled ones."""
+    """Return a row per noise, start, shift and tracker, and the pooled rows."""
     shape = QUICK_SHAPE if quick else SHAPE
     corners = choose_points(shape, 150 if quick else 700, WINDOW)
     anywhere = corners + torch.rand(corners.shape, generator=torch.Generator().manual_seed(0))
@@ -45,8 +44,7 @@ def _rows(shape: tuple[int, int], noise: int, start: str, points: Tensor, quick:
     single: dict[str, list[dict[str, Cell]]] = {name: [] for name in TRACKERS}
     for case, shift in enumerate((0.0, 0.3, 0.5) if quick else tuple(tenths / 10 for tenths in range(10))):
         motion = (shift, 0.7 * shift)
-        previous = photograph(clean_picture(shape, STILL), noise, seed=2 * case)
-        current = photograph(clean_picture(shape, motion), noise, seed=2 * case + 1)
+        previous, current = photograph_pair(shape, motion, noise, case)
         applies = noise > 0 or shift > 0
         for name, track in TRACKERS.items():
             found = track(previous, current, points, WINDOW)

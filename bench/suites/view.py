@@ -13,13 +13,14 @@ import numpy as np
 import psutil
 
 from bench.chromium import launch
+from bench.recordings import write_quietly
 from bench.rows import Row, Skipped
 from fingerflow import process
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import Press
 from fingerflow.view.server import Served
 
 _LONG, _SCRUBBED = 3000, 120  # frames
-_STRIDE = 7  # frames between those that are asked for
+_STRIDE = 7  # frames between two requests
 _SCRUB = """async ([count, stride, frames]) => {
     const slider = document.getElementById("frame"), picture = document.getElementById("picture");
     for (let k = 1; k <= count; k++) {
@@ -32,7 +33,7 @@ _SCRUB = """async ([count, stride, frames]) => {
 
 
 def run(quick: bool = False) -> Sequence[Row]:
-    """A row for each thing that somebody waits for."""
+    """Return a row for the first picture and one for a frame under the slider."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -41,7 +42,8 @@ def run(quick: bool = False) -> Sequence[Row]:
         browser = launch(engine)
         if browser is None:
             raise Skipped("no Chromium here: python -m playwright install chromium")
-        scene, frames = _recorded(Path(folder), 24 if quick else _LONG)
+        frames = 24 if quick else _LONG
+        scene = _recorded(Path(folder), frames)
         process(scene, to=scene.parent / "result.h5").close()
         with Served(scene.parent / "result.h5") as served:
             rows = _measured(browser, served.address, frames, 10 if quick else _SCRUBBED)
@@ -55,7 +57,7 @@ def _measured(browser: Any, address: str, frames: int, count: int) -> list[Row]:
     page.goto(address)
     page.wait_for_selector("#picture[data-drawn]")
     rows = [_row("first picture", 1, clock, spent)]
-    page.wait_for_selector("#picture[data-mask=true]")  # torch is there
+    page.wait_for_selector("#picture[data-mask=true]")  # torch is loaded
     page.wait_for_timeout(1000)
     clock, spent = time.perf_counter(), _cpu()
     page.evaluate(_SCRUB, [count, _STRIDE, frames])
@@ -76,7 +78,7 @@ def _row(what: str, count: int, clock: float, spent: tuple[float, float]) -> Row
 
 
 def _cpu() -> tuple[float, float]:
-    """Seconds of this process, and of those that it has started."""
+    """Return processor seconds of this process and of its children."""
     own = psutil.Process()
     others = 0.0
     for one in own.children(recursive=True):
@@ -88,10 +90,10 @@ def _cpu() -> tuple[float, float]:
     return time.process_time(), others
 
 
-def _recorded(folder: Path, frames: int) -> tuple[Path, int]:
-    """A press, and the same backwards, and again, until there are so many frames."""
+def _recorded(folder: Path, frames: int) -> Path:
+    """Write a press that plays forwards and backwards for ``frames`` frames; return its scene file."""
     press = Press(n_frames=min(frames, 300))
-    write_recording(folder / "press", press)
+    write_quietly(folder / "press", press)
     scene = folder / "press" / "scene.toml"
     if frames > press.n_frames:
         once = np.load(folder / "press" / "frames.npy", mmap_mode="r")
@@ -104,4 +106,4 @@ def _recorded(folder: Path, frames: int) -> tuple[Path, int]:
         (folder / "many.npy").replace(folder / "press" / "frames.npy")
         text = scene.read_text(encoding="utf-8")  # forces are those of one press
         scene.write_text(text[: text.index("[forces]")] + text[text.index("[calibration]") :], encoding="utf-8")
-    return scene, frames
+    return scene

@@ -1,10 +1,11 @@
-"""Pages that are written from the package when the site is built: outputs, keys of a scene, measurements."""
+"""Pages that the build of the site writes from the package: outputs, keys of a scene, measurements."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
 from fingerflow.schema.key_list import ListedKey, key_list
 from fingerflow.schema.scene_kinds import KINDS
@@ -15,7 +16,7 @@ RESULTS = HERE.parent / "bench" / "results"
 
 
 def _cell(text: object) -> str:
-    """As it reads in a cell of a table of Markdown."""
+    """Return text escaped for a cell of a Markdown table."""
     plain = str(text)
     for mark in "\\|*_<>$`[]~":
         plain = plain.replace(mark, f"\\{mark}")
@@ -28,7 +29,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 
 def outputs_page() -> str:
-    """Every variable: unit, dimensions, definition, equation, by stage."""
+    """Return the page of variables by stage: unit, dimensions, definition, equation."""
     lines = [
         "# Dictionary of outputs",
         "",
@@ -76,7 +77,7 @@ def _symbols() -> list[str]:
 
 
 def keys_page() -> str:
-    """Every key of a scene file: type, range, default, who needs it, meaning."""
+    """Return the page of keys of a scene file: type, range, default, who needs them, meaning."""
     lines = [
         "# Keys of a scene file",
         "",
@@ -97,7 +98,7 @@ def keys_page() -> str:
 
 
 def measurements_page() -> str:
-    """The rows of bench/results, with machine and command."""
+    """Return the page of the rows of bench/results, with machine and command."""
     lines = [
         "# Measurements in full",
         "",
@@ -123,30 +124,22 @@ def measurements_page() -> str:
             about = found["about"].partition("\n\n")[0].replace("\n", " ")
             lines += [f"### {path.stem}: {suite}", "", _cell(about), "", f"    python -m bench {suite}", ""]
             lines += _table(
-                [_cell(name) for name in columns], ([_number(row.get(name)) for name in columns] for row in rows)
+                [_cell(name) for name in columns], ([as_text(row.get(name)) for name in columns] for row in rows)
             )
     return "\n".join(lines)
 
 
 def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Of a suite with a row for all shifts together, that one alone."""
+    """Return the rows for all shifts together where a suite has them, otherwise all rows."""
     pooled = [row for row in rows if row.get("shift") == "all"]
     return pooled or rows
-
-
-def _number(cell: Any) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
 PAGES = {"outputs": outputs_page, "keys": keys_page, "measurements": measurements_page}
 
 
 def write(folder: Path) -> None:
-    """Writes the pages; one that is as it was is not touched, so that Sphinx does not read it again."""
+    """Write the pages. An unchanged page is not touched, so that Sphinx does not read it again."""
     folder.mkdir(exist_ok=True)
     for name, page in PAGES.items():
         path, text = folder / f"{name}.md", page()
@@ -155,6 +148,6 @@ def write(folder: Path) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Called by Sphinx."""
+    """Register with Sphinx."""
     app.connect("builder-inited", lambda app: write(Path(app.srcdir) / "generated"))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,7 +1,7 @@
-"""Docstrings as they are written here, for Sphinx, which would read them as reStructuredText.
+"""Translation of the package's docstrings into reStructuredText, for Sphinx.
 
-They are plain text with `code`: |u| is a length, x* a name. What is set in under a line that is no heading of a section
-is laid out by hand (an equation, a list), and stays so.
+Docstrings are plain text with `code`: |u| is a length, x* a name. Indented lines under a line that is no heading of a
+section are laid out by hand (an equation, a list), and keep their layout.
 """
 
 import re
@@ -14,13 +14,13 @@ _SPECIAL = re.compile(r"[\\*|]|(?<=\w)_(?!\w)")
 
 
 def _escaped(line: str) -> str:
-    """The line, in which nothing but code means anything; a mark of a literal block at its end stays."""
+    """Return a line with all marks outside code escaped; the mark of a literal block at its end stays."""
     parts = _CODE.split(line)
     return "".join(part if k % 2 else _SPECIAL.sub(r"\\\g<0>", part) for k, part in enumerate(parts))
 
 
 def _with_heading(lines: list[str]) -> list[str]:
-    """The same, with "Args:" over arguments that are listed without it."""
+    """Return the lines with "Args:" inserted over arguments that are listed without it."""
     result: list[str] = []
     inside = False
     for number, line in enumerate(lines):
@@ -33,7 +33,7 @@ def _with_heading(lines: list[str]) -> list[str]:
 
 
 def as_restructured_text(lines: list[str]) -> list[str]:
-    """The docstring (without its common indent) in reStructuredText that shows as it reads."""
+    """Return a docstring (without its common indent) as reStructuredText that shows as it reads."""
     result: list[str] = []
     section = verbatim = False
     above = ""  # the last line that is not empty
@@ -58,6 +58,6 @@ def _process(app: Any, what: str, name: str, one: Any, options: Any, lines: list
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Called by Sphinx."""
+    """Register with Sphinx."""
     app.connect("autodoc-process-docstring", _process, priority=100)  # before napoleon
     return {"parallel_read_safe": True, "parallel_write_safe": True}

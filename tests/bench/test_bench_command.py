@@ -1,4 +1,4 @@
-"""The command, its tables and its record, with a suite of one small file as the next person would add it."""
+"""The command of the bench, its tables and its record, with a suite of one small file as a user would add it."""
 
 import json
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def run(quick):
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder with two suites beside the real ones; figures go there too."""
+    """Yield a folder with two suites beside the real ones; figures go there too."""
     (tmp_path / "counting.py").write_text(SUITE)
     (tmp_path / "moon.py").write_text(ABSENT)
     monkeypatch.setattr(suites, "__path__", [*suites.__path__, str(tmp_path)])

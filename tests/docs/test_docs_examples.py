@@ -14,7 +14,7 @@ _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def blocks_of(path: Path) -> list[str]:
-    """Blocks of Python, with as many lines above as in the file: an error has the line of the page."""
+    """Return the blocks of Python, padded so that an error states the line of the page."""
     text = path.read_text(encoding="utf-8")
     return ["\n" * text[: found.start(1)].count("\n") + found[1] for found in _BLOCK.finditer(text)]
 

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Page(HTMLParser):
-    """What a page loads, where it leads, and the anchors that it has."""
+    """Links, anchors and loaded files of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site; notebooks are run by a test of their own."""
+    """Return the folder of the built site; another test runs the notebooks."""
     for module in ("sphinx", "furo", "myst_nb"):
         pytest.importorskip(module, reason="the site is not built: pip install 'fingerflow-engine[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"

@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.variables import LABELS
+from fingerflow.schema.variable_record import LABELS
 
 
 class Table(NamedTuple):

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.tables.columns import Table
-from fingerflow.schema.variables import LABELS
+from fingerflow.schema.variable_record import LABELS
 
 ORIGIN = "the first pixel is at"  # identifies a file of maps
 _MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
