@@ -18,6 +18,7 @@ from bench.suites import (
     drift,
     flow,
     flow_outliers,
+    gpu,
     image_ops,
     interpolant,
     large_motion,
@@ -49,6 +50,7 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         dense,
         dic,
         flow,
+        gpu,
         image_ops,
         interpolant,
         large_motion,
@@ -264,6 +266,23 @@ def test_stated() -> None:
     assert number(energy, "of_contact") < 0.9
 
 
+def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the processor instead: the same results. Where there is no CUDA it says what it would run."""
+    rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
+    assert {(row["work"], row["recordings"]) for row in rows} == {
+        (work, batch) for work in ("contact", "key", "tracking", "fields") for batch in (1, 3)
+    }
+    assert all(row["deviation"] == 0 for row in rows)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    rows = gpu.run(quick=True)
+    assert {(row["work"], row["recordings"]) for row in rows} == {
+        (work, batch) for work in ("contact", "key", "tracking", "fields") for batch in (1, 4)
+    }
+    assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
+    fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
+    assert fields[0] == fields[1] > 50
+
+
 def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two recordings call an accelerator little more often than one, for the same positions."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
@@ -275,3 +294,10 @@ def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.5 < number(rows[3], "calls_to_peer") < 0.8
     # px: products of matrices of two recordings are summed in another order than those of one.
     assert all(number(row, "deviation") < 2e-4 for row in rows)
+
+
+def test_gpu_deviation_of_known_results() -> None:
+    nan = float("nan")
+    assert gpu._deviation(torch.tensor([1.0, nan]), torch.tensor([1.5, nan])) == 0.5
+    assert gpu._deviation(torch.tensor([1.0, 2.0]), torch.tensor([1.0, nan])) == float("inf")
+    assert gpu._deviation(torch.tensor([nan]), torch.tensor([nan])) == 0

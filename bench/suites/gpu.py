@@ -1,0 +1,187 @@
+"""The graphs on a graphics processor: eager, captured and compiled, one frame or the frames of several recordings.
+
+`contact` is `ContactGraph` on frames of a press in full contact, `key` is `KeyGraph` on 700 points of skin, `tracking`
+is `TrackGraph` on its templates and skin moved by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points;
+views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a camera's cable
+and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled` is
+`torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
+same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
+`deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
+divergence; NaN in one and not in the other counts as infinite.
+
+`launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
+a step that makes the host wait, `waits` says for what, and it cannot be captured. Without CUDA these are all rows.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_map
+
+from bench.launches import HostWait, count_launches
+from bench.rows import Row
+from bench.skin import clean_picture, photograph
+from bench.timing import time_in_turns
+from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, LightGraph, TrackGraph
+from fingerflow.synthetic import Press
+
+PEER = "processor"
+SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
+
+Call = Callable[..., object]
+
+
+def captured(graph: nn.Module) -> Call:
+    """The graph as one CUDA graph for the inputs of the first call, which are read again in every call."""
+    replay: list[Callable[[], object]] = []
+
+    def call(*inputs: Any) -> object:
+        if not replay:
+            ahead = torch.cuda.Stream()  # what is set up in a first call is not to be captured
+            with torch.cuda.stream(ahead):
+                for _ in range(3):
+                    graph(*inputs)
+            torch.cuda.current_stream().wait_stream(ahead)
+            recorded = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(recorded):
+                results = graph(*inputs)
+
+            def again() -> object:
+                recorded.replay()
+                return results
+
+            replay.append(again)
+        return replay[0]()
+
+    return call
+
+
+WAYS: Mapping[str, Callable[[nn.Module], Call]] = {
+    "eager": lambda graph: graph,
+    "captured": captured,
+    "compiled": lambda graph: torch.compile(graph, dynamic=False),
+}
+
+
+class Work(NamedTuple):
+    """A graph, what it is given for a batch of frames, and which of its results is compared."""
+
+    graph: nn.Module
+    inputs: tuple[Any, ...]
+    result: Callable[..., Tensor]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a work, way and number of recordings."""
+    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
+    if not torch.cuda.is_available():
+        return [
+            {"work": name, "recordings": batch, **_launches(work)}
+            for batch in batches
+            for name, work in _works(shape, points, batch).items()
+        ]
+    return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
+
+
+def _launches(work: "Work") -> dict[str, int | str | None]:
+    try:
+        return {"launches": count_launches(work.graph, work.inputs).calls, "waits": None}
+    except HostWait as wait:
+        return {"launches": None, "waits": str(wait)}
+
+
+@torch.inference_mode()
+def rows_on(
+    device: torch.device,
+    shape: tuple[int, int],
+    points: int,
+    batches: Sequence[int],
+    ways: Mapping[str, Callable[[nn.Module], Call]],
+    rounds: int,
+) -> list[Row]:
+    """The rows of any device."""
+    rows: list[Row] = []
+    for batch in batches:
+        for name, work in _works(shape, points, batch).items():
+            calls: dict[str, Callable[[], object]] = {PEER: _call(work.graph, work.inputs)}
+            on_device = tree_map(lambda value: value.to(device) if isinstance(value, Tensor) else value, work.inputs)
+            launches = _launches(work)
+            calls |= {
+                way: _call(prepare(work.graph), on_device)
+                for way, prepare in ways.items()
+                if prepare is not captured or launches["waits"] is None
+            }
+            times = time_in_turns(calls, PEER, rounds)
+            expected = work.result(calls[PEER]())
+            for way, call in calls.items():
+                rows.append(
+                    {
+                        "work": name,
+                        "recordings": batch,
+                        "way": way,
+                        **launches,
+                        **times[way].of_each(batch).cells(),
+                        "deviation": _deviation(work.result(call()).cpu(), expected),
+                    }
+                )
+    return rows
+
+
+def _call(graph: Call, inputs: tuple[Any, ...]) -> Callable[[], object]:
+    def call() -> object:
+        result = graph(*inputs)
+        if inputs[-1].is_cuda:
+            torch.cuda.synchronize()
+        return result
+
+    return call
+
+
+def _deviation(found: Tensor, expected: Tensor) -> float:
+    known = expected.isfinite()
+    if not torch.equal(found.isfinite(), known):
+        return float("inf")
+    return (found - expected)[known].abs().max().item() if known.any() else 0.0
+
+
+def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
+    generator = torch.Generator().manual_seed(0)
+    previous, current = (
+        torch.cat([photograph(clean_picture(shape, shift), 2, seed + 1000 * number) for number in range(batch)])
+        for seed, shift in enumerate(((0.0, 0.0), (0.3, 0.2)))
+    )
+    room = torch.tensor((shape[1] - 37, shape[0] - 37), dtype=torch.float32)
+    places = 18 + room * torch.rand(batch, points, 2, generator=generator)
+    displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
+    key = KeyGraph(21)
+    covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
+    return {
+        "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
+        "key": Work(key, (previous, places), lambda templates: templates.samples),
+        "tracking": Work(TrackGraph(), (key(previous, places), current, places), lambda found: found.points),
+        "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
+    }
+
+
+def _contact_frames(shape: tuple[int, int], batch: int) -> tuple[Tensor, ...]:
+    """Frames, light, darkness and limits, as `ContactGraph` takes them."""
+    rows, columns = shape
+    large = min(rows / 512, columns / 640)
+    press = Press(
+        n_frames=batch + 1,
+        frame_rate=1.0,
+        frames_before_trigger=0,
+        frame_shape=(rows, 2 * columns),
+        finger=(7.6 * large, 6.4 * large),
+        semi_axes=(5.5 * large, 4.5 * large),
+    )
+    view = press.views["contact"]
+    frames = torch.stack([torch.from_numpy(view.crop(press.render(frame))) for frame in range(1, batch + 1)])[:, None]
+    empty, dark = (
+        torch.from_numpy(view.crop(picture)).float()[None, None] for picture in (press.empty(), press.dark())
+    )
+    light, black, _ = LightGraph()(empty, dark, torch.zeros(1))
+    limit = 1 - ContactGraph().threshold(frames[:1], light, black)
+    return frames, light, black, limit.expand(batch).clone()
