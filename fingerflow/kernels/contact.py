@@ -26,15 +26,12 @@ __all__ = [
     "LARGEST_MAJORITY",
     "LARGEST_MEDIAN",
     "MEDIAN_KINDS",
-    "WIDEST_MOMENTS",
     "apparent_contact",
     "dilate",
     "fill_holes",
-    "fit_ellipse",
     "histogram",
     "largest_component",
     "light_gain",
-    "mask_moments",
     "median",
     "normalize",
     "otsu_threshold",
@@ -45,7 +42,6 @@ MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
 CELLS = (1, 2, 4, 8)
-WIDEST_MOMENTS = (1 << 16) - 1
 COUNTED_KINDS = ("uint8", "uint16")
 _BYTES = {"uint8": 1, "uint16": 2}
 
@@ -252,34 +248,3 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
         threads=threads(),
     )
     return density_margin, numbers
-
-
-def mask_moments(mask: Array) -> Array:
-    """Return the moments (B, 6) int64, sums over a mask (B, 1, H, W) bool, as `ops.contact.ellipse`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, or more than WIDEST_MOMENTS columns.
-    """
-    mask = _narrow_mask(mask)
-    moments = empty(mask, "int64", mask.shape[0], 6)
-    entry("mask_moments")(masks=mask, moments=moments, **extent(mask), threads=threads())
-    return moments
-
-
-def fit_ellipse(mask: Array) -> Array:
-    """Fit ellipses (B, 6) float64, as `ops.contact.ellipse`: centre x and y, semi axes, major first, angle and area.
-
-    Raises:
-        TypeError, ValueError: as `mask_moments`.
-    """
-    mask = _narrow_mask(mask)
-    ellipses = empty(mask, "float64", mask.shape[0], 6)
-    entry("fit_ellipse")(masks=mask, ellipses=ellipses, **extent(mask), threads=threads())
-    return ellipses
-
-
-def _narrow_mask(mask: Array) -> Array:
-    check_frames(mask, ("bool",))
-    if mask.shape[3] > WIDEST_MOMENTS:
-        raise ValueError(f"a mask {mask.shape[3]} px wide: the compiled moments end at {WIDEST_MOMENTS} px")
-    return rows_in_one_piece(mask)

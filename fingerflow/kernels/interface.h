@@ -174,14 +174,6 @@ void fingerflow_block_means(const void* frames, std::int64_t batch, std::int64_t
                             std::int64_t along, std::int64_t rows, std::int64_t columns, float* blocks, float* lines,
                             int threads);
 
-// Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
-void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
-                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
-
-// Ellipses (batch, 6) of the same moments: centre x and y, semi axes, major first, angle and area.
-void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
-                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
-
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
 struct fingerflow_local_fit {

@@ -64,11 +64,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             const fingerflow_apparent_contacts regions{holds.data(), density_margin.data(), numbers.data(), batch, height, width, radius, side};
             fingerflow_apparent_contact(&regions, threads);
         }
-    std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
-    std::vector<double> ellipses(moments.size());
-    fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads);
-    fingerflow_fit_ellipse(mask.data(), ellipses.data(), batch, height, width, frame, width, threads);
-    expect(ellipses[5] == static_cast<double>(moments[0]), "area of the ellipse");
 
     std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
     fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads);

@@ -55,8 +55,6 @@ def calls() -> dict[str, Callable[[], object]]:
         "fill_holes": lambda: kernels.fill_holes(MASK),
         "largest_component": lambda: kernels.largest_component(MASK),
         "apparent_contact": lambda: kernels.apparent_contact(MASK, 8, 4),
-        "mask_moments": lambda: kernels.mask_moments(MASK),
-        "fit_ellipse": lambda: kernels.fit_ellipse(MASK),
         "mean_response": lambda: kernels.mean_response(FRAMES),
         "halve": lambda: kernels.halve(FRAMES),
         "corners": lambda: kernels.corners(

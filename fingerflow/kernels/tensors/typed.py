@@ -15,7 +15,6 @@ __all__ = [
     "LARGEST_MAJORITY",
     "LARGEST_MEDIAN",
     "MEDIAN_DTYPES",
-    "WIDEST_MOMENTS",
     "apparent_contact",
     "area_medians",
     "corners",
@@ -24,7 +23,6 @@ __all__ = [
     "fill_holes",
     "find_pairs",
     "find_templates",
-    "fit_ellipse",
     "flow_at_pixels",
     "flow_covariance",
     "flow_descend",
@@ -41,7 +39,6 @@ __all__ = [
     "level_shapes",
     "light_gain",
     "local_gradients",
-    "mask_moments",
     "mean_response",
     "median",
     "normalize",
@@ -67,15 +64,12 @@ COUNTED_DTYPES = _dtypes(contact.COUNTED_KINDS)
 LARGEST_MAJORITY = contact.LARGEST_MAJORITY
 LARGEST_MEDIAN = contact.LARGEST_MEDIAN
 MEDIAN_DTYPES = _dtypes(contact.MEDIAN_KINDS)
-WIDEST_MOMENTS = contact.WIDEST_MOMENTS
 apparent_contact = torch_op()(contact.apparent_contact)
 dilate = torch_op()(contact.dilate)
 fill_holes = torch_op()(contact.fill_holes)
-fit_ellipse = torch_op()(contact.fit_ellipse)
 histogram = torch_op()(contact.histogram)
 largest_component = torch_op()(contact.largest_component)
 light_gain = torch_op()(contact.light_gain)
-mask_moments = torch_op()(contact.mask_moments)
 median = torch_op()(contact.median)
 normalize = torch_op()(contact.normalize)
 otsu_threshold = torch_op()(contact.otsu_threshold)
