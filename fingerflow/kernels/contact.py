@@ -28,9 +28,7 @@ __all__ = [
     "MEDIAN_KINDS",
     "apparent_contact",
     "dilate",
-    "fill_holes",
     "histogram",
-    "largest_component",
     "light_gain",
     "median",
     "normalize",
@@ -192,32 +190,6 @@ def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Arra
         threads=threads(),
     )
     return dilated
-
-
-def fill_holes(mask: Array) -> Array:
-    """Return the mask (B, 1, H, W) bool with its holes filled, as `ops.contact.components`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape.
-    """
-    check_frames(mask, ("bool",))
-    mask = rows_in_one_piece(mask)
-    filled = empty(mask, "bool", *mask.shape)
-    entry("fill_holes")(masks=mask, filled=filled, **extent(mask), threads=threads())
-    return filled
-
-
-def largest_component(mask: Array) -> Array:
-    """Return the largest connected component of the mask (B, 1, H, W) bool, as `ops.contact.components`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape.
-    """
-    check_frames(mask, ("bool",))
-    mask = rows_in_one_piece(mask)
-    largest = empty(mask, "bool", *mask.shape)
-    entry("largest_component")(masks=mask, largest=largest, **extent(mask), threads=threads())
-    return largest
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:

@@ -143,14 +143,6 @@ void fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t b
                        std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
                        const std::int32_t* half_widths, std::int64_t radius, int of_background, int threads);
 
-// Masks of bytes with their holes filled (fingerflow/ops/contact/components.py), or but their largest part; results are
-// contiguous.
-void fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
-                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
-void fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch,
-                                  std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                  std::int64_t row_stride, int threads);
-
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/contact/apparent_contact.py has
 // them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
 // angle.

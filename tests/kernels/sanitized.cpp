@@ -41,7 +41,7 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     const auto sixteen = noise<std::uint16_t>(count, 2);
     const auto real = noise<float>(count, 3);
     const auto mask = noise<std::uint8_t>(count, 4);
-    std::vector<std::uint8_t> bytes(eight.size()), other(eight.size());
+    std::vector<std::uint8_t> bytes(eight.size());
     for (int size : {3, 5, 7, 9, 11}) {
         std::vector<std::uint16_t> wide(sixteen.size());
         fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads);
@@ -53,8 +53,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (int inverted : {0, 1})
             fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads);
     }
-    fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads);
-    fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads);
     std::vector<float> numbers(static_cast<std::size_t>(7 * batch));
     for (std::int64_t side : {1, 2, 4, 8})
         for (std::int64_t radius : {4, 8, 60}) {

@@ -8,7 +8,6 @@ from kernel_images import SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact.apparent_contact import ApparentRegion, apparent_contact
-from fingerflow.ops.contact.components import fill_holes, largest_component
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -50,16 +49,6 @@ def test_contacts(portable: Portable, instruction_set: int) -> None:
         same(apparent_contact(mask, radius, cell), portable(lambda r=radius, c=cell: apparent_contact(mask, r, c)))
 
 
-@pytest.mark.parametrize("op", [fill_holes, largest_component])
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.5, 0.6, 0.97, 1.0])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_parts(
-    portable: Portable, shape: tuple[int, int, int], share: float, op: Callable[[torch.Tensor], torch.Tensor]
-) -> None:
-    for mask in (blobs(shape, share), images(shape, torch.uint8, "random", highest=249) < 250 * share):
-        assert torch.equal(op(mask), portable(lambda m=mask: op(m)))
-
-
 def test_views_and_threads(portable: Portable) -> None:
     """One frame in bands of rows, and a frame a thread."""
     masks = blobs((5, 300, 220), 0.5)
@@ -69,8 +58,6 @@ def test_views_and_threads(portable: Portable) -> None:
             torch.set_num_threads(threads)
             for view in (masks, masks[1:2, ..., 3:], masks[::3, :, 7:290, 5:201], masks[..., ::2]):
                 same(apparent_contact(view, 6), portable(lambda view=view: apparent_contact(view, 6)))
-                for op in (fill_holes, largest_component):
-                    assert torch.equal(op(view), portable(lambda op=op, view=view: op(view)))
     finally:
         torch.set_num_threads(before)
 
@@ -81,5 +68,3 @@ def test_refuses_what_does_not_fit() -> None:
         kernels.apparent_contact(mask, 8, 3)
     with pytest.raises(TypeError, match="uint8"):
         kernels.apparent_contact(mask.byte(), 8, 4)
-    with pytest.raises(TypeError, match="uint8"):
-        kernels.fill_holes(mask.byte())

@@ -52,8 +52,6 @@ def calls() -> dict[str, Callable[[], object]]:
         ),
         "histogram": lambda: kernels.histogram(FRAMES, None, None, 256),
         "dilate": lambda: kernels.dilate(MASK, [0, 1, 0], False),
-        "fill_holes": lambda: kernels.fill_holes(MASK),
-        "largest_component": lambda: kernels.largest_component(MASK),
         "apparent_contact": lambda: kernels.apparent_contact(MASK, 8, 4),
         "mean_response": lambda: kernels.mean_response(FRAMES),
         "halve": lambda: kernels.halve(FRAMES),

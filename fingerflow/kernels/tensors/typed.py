@@ -20,7 +20,6 @@ __all__ = [
     "corners",
     "correct_points",
     "dilate",
-    "fill_holes",
     "find_pairs",
     "find_templates",
     "flow_at_pixels",
@@ -35,7 +34,6 @@ __all__ = [
     "flow_warp",
     "halve",
     "histogram",
-    "largest_component",
     "level_shapes",
     "light_gain",
     "local_gradients",
@@ -66,9 +64,7 @@ LARGEST_MEDIAN = contact.LARGEST_MEDIAN
 MEDIAN_DTYPES = _dtypes(contact.MEDIAN_KINDS)
 apparent_contact = torch_op()(contact.apparent_contact)
 dilate = torch_op()(contact.dilate)
-fill_holes = torch_op()(contact.fill_holes)
 histogram = torch_op()(contact.histogram)
-largest_component = torch_op()(contact.largest_component)
 light_gain = torch_op()(contact.light_gain)
 median = torch_op()(contact.median)
 normalize = torch_op()(contact.normalize)
