@@ -1,7 +1,6 @@
 """Kernels of the contact: medians, masks, thresholds, connected components, ellipses."""
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ __all__ = [
     "LARGEST_MEDIAN",
     "MEDIAN_KINDS",
     "apparent_contact",
-    "dilate",
     "histogram",
     "light_gain",
     "median",
@@ -165,31 +163,6 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
     thresholds, counts = empty(counts, "float64", batch), in_one_piece(counts)
     entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
     return thresholds
-
-
-def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Array:
-    """Dilate a mask (B, 1, H, W) bool, or erode it with `of_background`, by an element of rows of these half widths.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, or rows that do not grow towards the middle.
-    """
-    check_frames(mask, ("bool",))
-    rows, radius = list(half_widths), len(half_widths) // 2
-    upper = rows[: radius + 1]
-    if len(rows) % 2 == 0 or rows != rows[::-1] or upper != sorted(upper) or upper[-1] > radius:
-        raise ValueError(f"an element with rows of half widths {rows}: they must grow towards the middle")
-    mask = rows_in_one_piece(mask)
-    dilated = empty(mask, "bool", *mask.shape)
-    entry("dilate")(
-        masks=mask,
-        dilated=dilated,
-        **extent(mask),
-        half_widths=np.array(rows, np.int32),
-        radius=radius,
-        of_background=of_background,
-        threads=threads(),
-    )
-    return dilated
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:

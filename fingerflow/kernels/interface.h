@@ -137,12 +137,6 @@ void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t h
 void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
                                double* thresholds);
 
-// Masks of bytes dilated, or eroded where `of_background` is 1, by an element given by the half widths of its 2 radius +
-// 1 rows, which grow towards the middle; `dilated` is contiguous.
-void fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t batch, std::int64_t height,
-                       std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                       const std::int32_t* half_widths, std::int64_t radius, int of_background, int threads);
-
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/contact/apparent_contact.py has
 // them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
 // angle.

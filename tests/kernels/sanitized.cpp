@@ -47,12 +47,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads);
         fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads);
     }
-    for (std::int64_t radius : {0, 1, 8}) {
-        std::vector<std::int32_t> rows;
-        for (std::int64_t y = -radius; y <= radius; ++y) rows.push_back(static_cast<std::int32_t>(radius - std::llabs(y)));
-        for (int inverted : {0, 1})
-            fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads);
-    }
     std::vector<float> numbers(static_cast<std::size_t>(7 * batch));
     for (std::int64_t side : {1, 2, 4, 8})
         for (std::int64_t radius : {4, 8, 60}) {

@@ -79,7 +79,6 @@ def calls() -> dict[str, Callable[[], Any]]:
         of_flow
         | own
         | {
-            "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
             "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
             "real_contact_mask": lambda: kernels.real_contact_mask(
                 tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3

@@ -51,7 +51,6 @@ def calls() -> dict[str, Callable[[], object]]:
             [contact_frames.contact_threshold(*lit[:3], stride_px=1, **sizes)],
         ),
         "histogram": lambda: kernels.histogram(FRAMES, None, None, 256),
-        "dilate": lambda: kernels.dilate(MASK, [0, 1, 0], False),
         "apparent_contact": lambda: kernels.apparent_contact(MASK, 8, 4),
         "mean_response": lambda: kernels.mean_response(FRAMES),
         "halve": lambda: kernels.halve(FRAMES),

@@ -19,7 +19,6 @@ __all__ = [
     "area_medians",
     "corners",
     "correct_points",
-    "dilate",
     "find_pairs",
     "find_templates",
     "flow_at_pixels",
@@ -63,7 +62,6 @@ LARGEST_MAJORITY = contact.LARGEST_MAJORITY
 LARGEST_MEDIAN = contact.LARGEST_MEDIAN
 MEDIAN_DTYPES = _dtypes(contact.MEDIAN_KINDS)
 apparent_contact = torch_op()(contact.apparent_contact)
-dilate = torch_op()(contact.dilate)
 histogram = torch_op()(contact.histogram)
 light_gain = torch_op()(contact.light_gain)
 median = torch_op()(contact.median)
