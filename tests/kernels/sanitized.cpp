@@ -13,6 +13,7 @@
 #include "entry.h"
 #include "interface.h"
 #include "parallel.h"
+#include "pixels.h"
 
 namespace {
 
@@ -56,13 +57,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             const fingerflow_apparent_contacts regions{holds.data(), density_margin.data(), numbers.data(), batch, height, width, radius, side};
             fingerflow_apparent_contact(&regions, threads);
         }
-
-    std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
-    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads);
-    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads);
-    std::int64_t total = 0;
-    for (std::int64_t bin : counts) total += bin;
-    expect(total == count, "histogram counts every pixel");
 
     const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
     for (int window : {1, 7, 15}) {
@@ -311,37 +305,36 @@ void try_faults() {
 }
 
 // What Python calls: one block of memory in, a number out, whatever is thrown.
-extern "C" int enter_otsu_threshold(const void* packed);
-extern "C" int enter_dilate(const void* packed);
+extern "C" int enter_covered(const void* packed);
+extern "C" int enter_halve(const void* packed);
 
 void try_entries() {
     using namespace fingerflow;
-    const std::vector<std::int64_t> counts(256, 3);
-    double threshold = 0;
+    const std::vector<float> cells(4, 1.0f), point{0.5f, 0.5f}, transform{1, 0, 0, 0, 1, 0};
+    unsigned char covered = 0;
     struct {
-        const std::int64_t* counts;
-        std::int64_t batch;
-        double low, high;
-        double* thresholds;
-    } const given{counts.data(), 1, -1, 255, &threshold};
-    expect(enter_otsu_threshold(&given) == kDone && threshold == 127, "an entry");
+        const float* density_margin;
+        std::int64_t batch, down, across, side;
+        const float* points;
+        std::int64_t count;
+        const float* transform;
+        unsigned char* covered;
+    } const given{cells.data(), 1, 2, 2, 1, point.data(), 1, transform.data(), &covered};
+    expect(enter_covered(&given) == kDone && covered == 1, "an entry");
 
-    const std::vector<unsigned char> mask(9, 1);
-    std::vector<unsigned char> dilated(9);
-    const std::int32_t half_width = 0;
+    const std::vector<unsigned char> image(16, 7);
+    std::vector<float> halved(4);
     struct {
-        const void* masks;
-        unsigned char* dilated;
+        const void* frames;
+        float* halved;
         std::int64_t batch, height, width, frame_stride, row_stride;
-        const std::int32_t* half_widths;
-        std::int64_t radius;
-        alignas(8) int of_background;
+        alignas(8) int kind;
         alignas(8) int threads;
-    } const element{mask.data(), dilated.data(), 1, 3, 3, 9, 3, &half_width, 0, 0, 2};
-    expect(enter_dilate(&element) == kDone && dilated == mask, "an entry with a pool");
+    } const whole{image.data(), halved.data(), 1, 4, 4, 16, 4, kUint8, 2};
+    expect(enter_halve(&whole) == kDone && halved == std::vector<float>(4, 7.0f), "an entry with a pool");
     for (const Fault fault : {Fault::kNoMemory, Fault::kError, Fault::kUnknown}) {
         inject_fault(fault, -1, Thread::kAny);
-        const int outcome = enter_dilate(&element);
+        const int outcome = enter_halve(&whole);
         inject_fault(Fault::kNone, 0, Thread::kAny);
         expect(outcome == (fault == Fault::kNoMemory ? kNoMemory : kFailed), "the outcome tells what was thrown");
         expect(fault != Fault::kError || std::strcmp(last_message(), "a fault injected by a test") == 0, "and the message");
