@@ -61,29 +61,28 @@ float uppermost_mode(const Blocks& blocks) {
 
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) {
     using namespace fingerflow;
-    const std::int64_t width = given->width, rows = side / kStep, pixels = given->height * width;
-    const std::int64_t lines = (given->height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
-    const fingerflow_image& image = given->frames;
-    const Frames frames{image.data, given->batch, given->height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
+    const Frames& frames = given->frames;
+    const std::int64_t width = frames.width, rows = side / kStep, pixels = frames.height * width;
+    const std::int64_t lines = (frames.height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
     const auto add = FINGERFLOW_PICK(add_lit_line);
     const auto sum = FINGERFLOW_PICK(sum_blocks);
     if (down * across <= 0) {
-        std::fill_n(gains, given->batch, std::numeric_limits<float>::quiet_NaN());
+        std::fill_n(gains, frames.batch, std::numeric_limits<float>::quiet_NaN());
         return;
     }
-    std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
+    std::vector<Blocks> blocks(static_cast<std::size_t>(frames.batch), Blocks(static_cast<std::size_t>(down * across)));
     // A row of blocks of all frames at a time, so that the empty glass is read once for all of them.
     parallel_for(down, threads, [&](std::int64_t row) {
         const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
         auto* const memory = static_cast<float*>(workspace(4 * bytes));
         const LitColumns columns{memory, memory + width, memory + 2 * width, memory + 3 * width};
-        for (std::int64_t frame = 0; frame < given->batch; ++frame) {
+        for (std::int64_t frame = 0; frame < frames.batch; ++frame) {
             const float* const light = given->light + (given->lights == 1 ? 0 : frame) * pixels;
             const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels;
             std::memset(memory, 0, 4 * bytes);
             for (std::int64_t line = row * rows; line < (row + 1) * rows; ++line) {
                 const std::int64_t y = kStep / 2 + line * kStep;
-                add(frames, frame, y, std::min(y + 2 * kStep, given->height - 1), light + y * width, black + y * width, columns);
+                add(frames, frame, y, std::min(y + 2 * kStep, frames.height - 1), light + y * width, black + y * width, columns);
             }
             Blocks& to = blocks[static_cast<std::size_t>(frame)];
             sum(columns.passed, across, side, to.passed.data() + row * across);
@@ -92,5 +91,5 @@ void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side
             sum(columns.light_squared, across, side, to.light_squared.data() + row * across);
         }
     });
-    parallel_for(given->batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
+    parallel_for(frames.batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
 }

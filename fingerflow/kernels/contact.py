@@ -9,29 +9,16 @@ from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, rows_in_
 from fingerflow.kernels.checks import (
     check_frames,
     checked,
-    extent,
+    described,
     lit,
 )
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 
-__all__ = [
-    "CELLS",
-    "LARGEST_MAJORITY",
-    "LARGEST_MEDIAN",
-    "MEDIAN_KINDS",
-    "apparent_contact",
-    "light_gain",
-    "median",
-    "normalize",
-    "real_contact_mask",
-]
-
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
 CELLS = (1, 2, 4, 8)
-_BYTES = {"uint8": 1, "uint16": 2}
 
 
 def median(frames: Array, size: int) -> Array:
@@ -46,10 +33,8 @@ def median(frames: Array, size: int) -> Array:
     frames = rows_in_one_piece(frames)
     medians = empty(frames, kind(frames), *frames.shape)
     entry("median")(
-        frames=frames,
+        **described(frames),
         medians=medians,
-        **extent(frames),
-        pixel_bytes=_BYTES[kind(frames)],
         size=size,
         table=table_of(int(size)),  # the torch compiler passes a size without a value
         threads=threads(),

@@ -8,8 +8,6 @@ from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
 
-__all__ = ["CorrectedPoints", "correct_points"]
-
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
     """N points of K frames, corrected for the deformation of the skin; the kernel returns float32.

@@ -10,13 +10,6 @@ from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, with_axe
 from fingerflow.kernels.checks import check_indices, check_like
 from fingerflow.kernels.library import entry, threads
 
-__all__ = [
-    "FittedPlanes",
-    "area_medians",
-    "local_gradients",
-    "triangle_strain",
-]
-
 _LATTICE = limits.lattice().astype(np.float32)
 
 
