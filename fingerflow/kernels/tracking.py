@@ -9,6 +9,7 @@ from fingerflow.kernels.checks import (
     check_frames,
     check_indices,
     check_like,
+    checked,
     described,
     described_mask,
     mask_of,
@@ -290,8 +291,6 @@ def search_windows(
     check_like("images", images, "float32", tuple(templates.shape))
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("points", points, "float32", (count, 2))
-    check_like("guess", guess, "float32", (count, 2))
     if size < 1 or size % 2 == 0 or reach < 0 or (count and min(images.shape[2:]) < 1):
         raise ValueError(f"templates {size} wide, {reach} px away, in images of {tuple(images.shape)}")
     if size + 2 * reach > WIDEST_SEARCH:
@@ -303,8 +302,8 @@ def search_windows(
         height=images.shape[2],
         width=images.shape[3],
         image_index=in_one_piece(image_index),
-        points=in_one_piece(points),
-        guess=in_one_piece(guess),
+        points=checked("points", points, "float32", (count, 2)),
+        guess=checked("guess", guess, "float32", (count, 2)),
         count=count,
         size=size,
         reach=reach,
@@ -327,8 +326,6 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     count, reach = places.shape[0], window // 2
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("places", places, "float32", (count, 2))
-    check_like("warp", warp, "float32", (count, 2, 2))
     if window < 1 or step < 1 or min(images.shape[2:]) < 4:
         raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
     images = rows_in_one_piece(images)
@@ -336,8 +333,8 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     entry("sample_windows")(
         **described(images),
         image_index=in_one_piece(image_index),
-        places=in_one_piece(places),
-        warp=in_one_piece(warp),
+        places=checked("places", places, "float32", (count, 2)),
+        warp=checked("warp", warp, "float32", (count, 2, 2)),
         windows=count,
         reach=reach,
         step=step,
