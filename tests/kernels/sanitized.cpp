@@ -336,12 +336,10 @@ void try_entries() {
     const std::vector<unsigned char> image(16, 7);
     std::vector<float> halved(4);
     struct {
-        const void* frames;
+        fingerflow_frames frames;
         float* halved;
-        std::int64_t batch, height, width, frame_stride, row_stride;
-        alignas(8) int kind;
         alignas(8) int threads;
-    } const whole{image.data(), halved.data(), 1, 4, 4, 16, 4, kUint8, 2};
+    } const whole{{image.data(), 1, 4, 4, 16, 4, kUint8}, halved.data(), 2};
     expect(enter_halve(&whole) == kDone && halved == std::vector<float>(4, 7.0f), "an entry with a pool");
     for (const Fault fault : {Fault::kNoMemory, Fault::kError, Fault::kUnknown}) {
         inject_fault(fault, -1, Thread::kAny);
