@@ -47,7 +47,7 @@ class BuildKernels(build_ext):
         folder.mkdir(parents=True, exist_ok=True)
         for path in KERNELS.glob("generate_*.py"):
             generator = runpy.run_path(str(path))
-            generator["main"](str(folder / generator["GENERATES"]))
+            (folder / generator["GENERATES"]).write_text(generator["source"](), encoding="utf-8")
         microsoft = self.compiler.compiler_type == "msvc"
         flags, sets = (MSVC_FLAGS, MSVC_SETS) if microsoft else (GNU_FLAGS, GNU_SETS)
         on_x86 = platform.machine().lower() in ("x86_64", "amd64")

@@ -1,22 +1,346 @@
+// build: each instruction set, fused
 // Apparent (gross) contact region of a mask, on cells of `side` px (fingerflow/ops/contact/apparent_contact.py).
 // The density of a cell is the share of its pixels that are set, smoothed by three box means of 2 radius + 1 px along
 // each axis. A cell belongs to the region with part = clamp((density - limit) / |grad density| + 1/2, 0, 1); `limit` is
 // iterated from the share of set pixels within the region. The density margin is density - limit at the component,
 // +limit in its holes, -limit elsewhere; area, centre and semi-axes follow from the moments of the parts.
-// Layout: planes of floats, one value a cell, row after row, with a margin of zeros on all sides and rows that begin at
-// whole vectors. All planes of one frame lie in the thread's workspace, so that they stay in a cache.
+// Layout: a CellPlane of floats has one value a cell, one cell a lane, row after row, with a margin of zeros on all sides
+// and rows that begin at whole vectors, over which loops run. All planes of one frame lie in the thread's workspace, so
+// that they stay in a cache.
+#include <math.h>
+#include <string.h>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <limits>
 #include <vector>
 
-#include "apparent_contact_cells.h"
+#include "floats.h"
+#include "instruction_sets.h"
 #include "interface.h"
+#include "lanes.h"
 #include "parallel.h"
 #include "workspace.h"
 
 namespace fingerflow {
+
+// Plane of `height` x `width` cells: rows begin at whole vectors, `pitch` floats apart, with at least `margin` zeros on
+// all sides and zeros behind a row up to a whole vector.
+struct CellPlane {
+    std::int64_t height, width, margin, pitch;
+};
+constexpr std::int64_t kCellLanes = 16;  // floats of the longest vector
+constexpr std::int64_t kCellBlock = 8;   // cells a side of a block of the flood fill
+
+// Sums over cells: parts inside the region, and set pixels of the mask in cells that lie at least partly inside.
+struct CellShare {
+    double parts, covered;
+};
+
+// Weighted sum of the density over the region's border, and sum of the weights.
+struct BorderLevel {
+    double density, weight;
+};
+
+// Extent of a region in each column (down, up) (width) and in each row (right, left) (height), counted from the
+// opposite end, so that 0 means no cell.
+struct Outline {
+    float *down, *up, *right, *left;
+};
+
+// Moments 1, x, x^2 of a row's coverage, x in cells from the first column.
+struct RowMoments {
+    double mass, first, second;
+};
+
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr std::int64_t kBand = 16;  // rows after which float sums are added to a double: up to there they are exact for counts
+
+template <class Word>
+void add_bytes(const unsigned char* FINGERFLOW_RESTRICT line, std::int64_t cells, float* FINGERFLOW_RESTRICT counts) {
+    // The highest byte of a product with 0x0101... is the sum of all bytes.
+    constexpr Word ones = static_cast<Word>(~static_cast<Word>(0)) / 255;
+    constexpr int highest = 8 * (static_cast<int>(sizeof(Word)) - 1);
+    for (std::int64_t x = 0; x < cells; ++x) {
+        Word word;
+        memcpy(&word, line + x * static_cast<std::int64_t>(sizeof(Word)), sizeof word);
+        counts[x] = static_cast<float>(static_cast<std::int32_t>(static_cast<Word>(word * ones) >> highest));
+    }
+}
+
+// One box mean of values `step` apart: `reach` values on both sides with weight 1, the next one with weight `part`.
+void box_row(const float* FINGERFLOW_RESTRICT from, std::int64_t step, std::int64_t reach, float part, float scale,
+             std::int64_t width, float* FINGERFLOW_RESTRICT to) {
+    if (reach == 1) {
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float ends = from[x - 2 * step] + from[x + 2 * step];
+            to[x] = scale * (from[x] + (from[x - step] + from[x + step]) + part * ends);
+        }
+        return;
+    }
+    for (std::int64_t x = 0; x < width; ++x) to[x] = from[x] + part * (from[x - (reach + 1) * step] + from[x + (reach + 1) * step]);
+    for (std::int64_t d = 1; d <= reach; ++d)
+        for (std::int64_t x = 0; x < width; ++x) to[x] += from[x - d * step] + from[x + d * step];
+    for (std::int64_t x = 0; x < width; ++x) to[x] *= scale;
+}
+
+// The columns, rounded up to whole vectors.
+std::int64_t whole(const CellPlane& plane) { return (plane.width + kCellLanes - 1) / kCellLanes * kCellLanes; }
+
+Floats part_of(Floats density, Floats inverse, float limit) {
+    return lesser(positive((density - limit) * inverse + 0.5f), all(1));
+}
+
+// A sum of vectors, moved to a double every kBand rows, before float rounding matters.
+class Sum {
+public:
+    void add(Floats values) { floats_ = floats_ + values; }
+    // To be called after each row.
+    void row(std::int64_t y) {
+        if (y % kBand == kBand - 1) settle();
+    }
+    double total() {
+        settle();
+        return total_;
+    }
+
+private:
+    void settle() {
+        float numbers[kFloats];
+        store(numbers, floats_);
+        for (const float number : numbers) total_ += static_cast<double>(number);
+        floats_ = all(0);
+    }
+    Floats floats_ = all(0);
+    double total_ = 0;
+};
+
+float greatest(Floats values) {
+    float numbers[kFloats], result = 0;
+    store(numbers, values);
+    for (const float number : numbers) result = number > result ? number : result;
+    return result;
+}
+
+// 0, 1, 2 ...
+Floats places() {
+    float numbers[kFloats];
+    for (int k = 0; k < kFloats; ++k) numbers[k] = static_cast<float>(k);
+    return load(numbers);
+}
+
+}  // namespace
+
+// Writes the number of set pixels of a mask (rows x columns bytes) in each cell of `side` 1, 2, 4 or 8 px. `line`
+// has space for the columns and 64 bytes more; `counts` is a plane.
+void count_cells(const unsigned char* mask, std::int64_t rows, std::int64_t columns, int side, const CellPlane& plane,
+                 unsigned char* FINGERFLOW_RESTRICT line, float* counts) {
+    memset(line + columns, 0, 64);
+    for (std::int64_t row = 0; row < plane.height; ++row) {
+        const std::int64_t top = row * side, bottom = top + side < rows ? top + side : rows;
+        memcpy(line, mask + top * columns, static_cast<std::size_t>(columns));
+        for (std::int64_t y = top + 1; y < bottom; ++y) {
+            const unsigned char* FINGERFLOW_RESTRICT next = mask + y * columns;
+            for (std::int64_t x = 0; x < columns; ++x) line[x] = static_cast<unsigned char>(line[x] + next[x]);
+        }
+        float* const to = counts + row * plane.pitch;
+        for (std::int64_t x = plane.width; x < whole(plane); ++x) to[x] = 0.0f;
+        if (side == 4) add_bytes<std::uint32_t>(line, plane.width, to);
+        else if (side == 8) add_bytes<std::uint64_t>(line, plane.width, to);
+        else if (side == 2) add_bytes<std::uint16_t>(line, plane.width, to);
+        else add_bytes<std::uint8_t>(line, plane.width, to);
+    }
+}
+
+// Writes counts times a factor; returns the sum of the counts.
+double scale_cells(const CellPlane& plane, const float* counts, float factor, float* cells) {
+    Sum sum;
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            const Floats count = load(counts + y * plane.pitch + x);
+            store(cells + y * plane.pitch + x, count * factor);
+            sum.add(count);
+        }
+        sum.row(y);
+    }
+    return sum.total();
+}
+
+// Smooths by three box means of `width` cells along each axis, in place; `other` is a plane with zero margins.
+void smooth_cells(const CellPlane& plane, float width, float* cells, float* other) {
+    // A box of fractional width: weight 1 up to `reach`, weight `part` for the next cell.
+    const float half = (width + 1) / 2;
+    const auto reach = static_cast<std::int64_t>(half - 1);
+    const float part = half - 1 - static_cast<float>(reach), scale = 1 / width;
+    float *from = cells, *to = other;
+    for (int pass = 0; pass < 6; ++pass) {
+        const std::int64_t step = pass < 3 ? plane.pitch : 1;
+        for (std::int64_t y = 0; y < plane.height; ++y)
+            box_row(from + y * plane.pitch, step, reach, part, scale, plane.width, to + y * plane.pitch);
+        float* const used = from;
+        from = to;
+        to = used;
+    }
+}
+
+// Writes 1 / |grad density| of each cell; behind a row the value for a gradient of 0.
+void inverse_slopes(const CellPlane& plane, const float* density, float* inverse) {
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        const std::int64_t width = plane.width;
+        const float *FINGERFLOW_RESTRICT row = density + y * plane.pitch, *FINGERFLOW_RESTRICT below = row + plane.pitch;
+        const float* FINGERFLOW_RESTRICT above = row - plane.pitch;
+        float* FINGERFLOW_RESTRICT to = inverse + y * plane.pitch;
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float across = row[x + 1] - row[x - 1], down = below[x] - above[x];
+            to[x] = 1.0f / sqrtf((across * across + down * down) / 4 + 1e-12f);
+        }
+        for (std::int64_t x = plane.width; x < whole(plane); ++x) to[x] = 1e6f;
+    }
+}
+
+CellShare share_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float limit) {
+    Sum parts, covered;
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            const std::int64_t at = y * plane.pitch + x;
+            const Floats part = part_of(load(density + at), load(inverse + at), limit);
+            parts.add(part);
+            covered.add(is_positive(part) * load(counts + at));
+        }
+        parts.row(y);
+        covered.row(y);
+    }
+    return {parts.total(), covered.total()};
+}
+
+// Writes the part of each cell inside the region.
+void parts_above(const CellPlane& plane, const float* density, const float* inverse, float limit, float* parts) {
+    for (std::int64_t y = 0; y < plane.height; ++y)
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            const std::int64_t at = y * plane.pitch + x;
+            store(parts + at, part_of(load(density + at), load(inverse + at), limit));
+        }
+}
+
+BorderLevel border_level(const CellPlane& plane, const float* density, const float* inverse, const float* own, float limit) {
+    Sum sums, weights;
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            const std::int64_t at = y * plane.pitch + x;
+            const Floats part = part_of(load(density + at), load(inverse + at), limit), weight = part * (1.0f - part);
+            weights.add(weight);
+            sums.add(weight * load(own + at));
+        }
+        weights.row(y);
+        sums.row(y);
+    }
+    return {sums.total(), weights.total()};
+}
+
+// Writes the greatest density of each block; `line` has space for a row.
+void densest_of_blocks(const CellPlane& plane, const float* density, float* line, float* densest) {
+    const std::int64_t across = (plane.width + kCellBlock - 1) / kCellBlock;
+    for (std::int64_t top = 0; top < plane.height; top += kCellBlock, densest += across) {
+        const std::int64_t bottom = top + kCellBlock < plane.height ? top + kCellBlock : plane.height;
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            Floats most = all(0);
+            for (std::int64_t y = top; y < bottom; ++y) most = greater(most, load(density + y * plane.pitch + x));
+            store(line + x, most);
+        }
+        for (std::int64_t block = 0; block < across; ++block) {
+            float most = 0;
+            for (const float* cell = line + block * kCellBlock; cell < line + (block + 1) * kCellBlock; ++cell)
+                most = *cell > most ? *cell : most;
+            densest[block] = most;
+        }
+    }
+}
+
+// Extends an outline, which begins as zeros, by the cells of a row denser than the limit where `among` is 1.
+void extend_outline(const CellPlane& plane, std::int64_t y, const float* density, const float* among, float limit,
+                    const Outline& outline) {
+    const auto down = static_cast<float>(y + 1), up = static_cast<float>(plane.height - y);
+    const Floats first = places();
+    Floats right = all(0), left = all(0);
+    for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+        const Floats inside = is_positive(load(density + y * plane.pitch + x) - limit) * load(among + x);
+        store(outline.down + x, greater(load(outline.down + x), inside * down));
+        store(outline.up + x, greater(load(outline.up + x), inside * up));
+        right = greater(right, inside * (first + static_cast<float>(x + 1)));
+        left = greater(left, inside * (static_cast<float>(plane.width - x) - first));
+    }
+    outline.right[y] = greatest(right);
+    outline.left[y] = greatest(left);
+}
+
+// Writes 1 where outlined cells lie on all four sides of a cell, or at it.
+void fill_row(const CellPlane& plane, std::int64_t y, const Outline& outline, float* FINGERFLOW_RESTRICT filled) {
+    const float down = static_cast<float>(y + 1), up = static_cast<float>(plane.height - y);
+    const float *FINGERFLOW_RESTRICT lowest = outline.down, *FINGERFLOW_RESTRICT highest = outline.up;
+    // From the first outlined cell of the row to the last.
+    const auto end = static_cast<std::int64_t>(outline.right[y]);
+    for (std::int64_t x = plane.width - static_cast<std::int64_t>(outline.left[y]); x < end; ++x)
+        filled[x] = (down <= lowest[x]) & (up <= highest[x]) ? 1.0f : 0.0f;
+}
+
+// Writes coverage and density margin of a row: parts of cells in the filled region or next to it, 1 in its holes.
+// `filled` is 1 in the region; `line` has space for a row with its margins.
+void cover_row(const CellPlane& plane, std::int64_t y, const float* density, const float* inverse, const float* filled,
+               float limit, float* FINGERFLOW_RESTRICT line, float* FINGERFLOW_RESTRICT coverage,
+               float* FINGERFLOW_RESTRICT density_margin) {
+    const std::int64_t at = y * plane.pitch;
+    const std::int64_t width = plane.width;
+    const float *FINGERFLOW_RESTRICT row = density + at, *FINGERFLOW_RESTRICT steep = inverse + at;
+    const float *FINGERFLOW_RESTRICT full = filled + at, *FINGERFLOW_RESTRICT above = full - plane.pitch;
+    const float* FINGERFLOW_RESTRICT below = full + plane.pitch;
+    for (std::int64_t x = -1; x <= width; ++x) {
+        const float beside = above[x] > below[x] ? above[x] : below[x];
+        line[x] = beside > full[x] ? beside : full[x];
+    }
+    for (std::int64_t x = 0; x < width; ++x) {
+        const float beside = line[x - 1] > line[x + 1] ? line[x - 1] : line[x + 1], near = beside > line[x] ? beside : line[x];
+        float part = (row[x] - limit) * steep[x] + 0.5f;
+        part = (part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part) * near;
+        const float hole = (full[x] > 0.0f) & (row[x] <= limit) ? 1.0f : 0.0f;
+        coverage[x] = part > hole ? part : hole;
+        const float over = row[x] * near - limit, filling = (2 * hole - 1) * limit;
+        density_margin[x] = over > filling ? over : filling;
+    }
+}
+
+RowMoments row_moments(const float* coverage, std::int64_t width) {
+    Sum mass, first, second;
+    const Floats place = places();
+    for (std::int64_t begin = 0; begin < width; begin += kFloats) {
+        const Floats part = load(coverage + begin), x = place + static_cast<float>(begin);
+        mass.add(part);
+        first.add(part * x);
+        second.add(part * x * x);
+    }
+    return {mass.total(), first.total(), second.total()};
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
+
+#if FINGERFLOW_ONCE
+
+namespace fingerflow {
+FINGERFLOW_OTHER_SETS(count_cells)
+FINGERFLOW_OTHER_SETS(scale_cells)
+FINGERFLOW_OTHER_SETS(smooth_cells)
+FINGERFLOW_OTHER_SETS(inverse_slopes)
+FINGERFLOW_OTHER_SETS(share_above)
+FINGERFLOW_OTHER_SETS(parts_above)
+FINGERFLOW_OTHER_SETS(border_level)
+FINGERFLOW_OTHER_SETS(densest_of_blocks)
+FINGERFLOW_OTHER_SETS(extend_outline)
+FINGERFLOW_OTHER_SETS(fill_row)
+FINGERFLOW_OTHER_SETS(cover_row)
+FINGERFLOW_OTHER_SETS(row_moments)
 namespace {
 
 constexpr float kLeastShare = 0.2f, kLeastLevel = 0.25f;
@@ -176,3 +500,5 @@ void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int 
     using namespace fingerflow;
     parallel_for(given->batch, threads, [&](std::int64_t frame) { Finder(*given, frame).find(); });
 }
+
+#endif

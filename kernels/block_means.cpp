@@ -80,18 +80,16 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_block_means(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                            std::int64_t frame_stride, std::int64_t row_stride, int kind, std::int64_t down,
-                            std::int64_t along, std::int64_t rows, std::int64_t columns, float* blocks, float* lines,
-                            int threads) {
+void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
+                            std::int64_t columns, float* blocks, float* lines, int threads) {
     using namespace fingerflow;
     const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
-    const std::int64_t lines_read = read(height, down), across = read(width, along);
-    const Sampled given{lines_read, across, row_stride, down, along, cut(lines_read, rows), cut(across, columns)};
-    parallel_for(batch, threads, [&](std::int64_t frame) {
+    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along);
+    const Sampled given{lines_read, across, frames->row_stride, down, along, cut(lines_read, rows), cut(across, columns)};
+    parallel_for(frames->batch, threads, [&](std::int64_t frame) {
         const auto find = [&](const auto* data) {
-            means_of(data + frame * frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read);
+            means_of(data + frame * frames->frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read);
         };
-        FINGERFLOW_FOR_PIXEL(kind, frames, find)
+        FINGERFLOW_FOR_PIXEL(frames->kind, frames->data, find)
     });
 }

@@ -1,21 +1,72 @@
+// build: each instruction set
 // Contact threshold: the intensity loss half-way between ridges and valleys
-// (fingerflow/ops/contact/contact_threshold.py). loss = 1 - (frame - black) / light as a level of 8 bit, level = 204
-// (loss + 0.25), median-filtered. Otsu's threshold starts two rounds of: contact region below the threshold, then the
-// mean of the medians of levels above and below it.
+// (fingerflow/ops/contact/contact_threshold.py). loss = 1 - (frame - black) / light as a level of 8 bit, level = 255 - 204
+// (frame - black) / light, rounded and clamped to 0..255, then median-filtered; level 51 is a loss of 0 and stands where a
+// pixel is not lit. Otsu's threshold starts two rounds of: contact region below the threshold, then the mean of the medians
+// of levels above and below it.
 // Layout: byte planes of one frame (levels, medians, masks) in the thread's workspace, where they stay in a cache;
-// subsampled ones are (rows_, columns_). Numbers are float where the portable form has floats, so that both choose the
-// same of several almost equal levels.
+// subsampled ones are (rows_, columns_). One pixel a lane. Numbers are float where the portable form has floats, so that
+// both choose the same of several almost equal levels.
+#include <float.h>
+#include <math.h>
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
 
-#include "contact_threshold_rows.h"
+#include "instruction_sets.h"
 #include "interface.h"
+#include "lanes.h"
 #include "parallel.h"
+#include "pixels.h"
 #include "workspace.h"
 
 namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr float kScale = 204, kNone = 51, kAll = 255;  // levels per unit of loss, level of no loss, highest level
+constexpr float kWhole = 8388608;                      // 2^23: adding and subtracting it rounds a smaller number to an integer
+
+// The order of operations is that of the portable form: levels agree bit for bit.
+template <bool finite, class Pixel>
+void levels_of(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTRICT light,
+               const float* FINGERFLOW_RESTRICT black, std::int64_t width, unsigned char* FINGERFLOW_RESTRICT levels,
+               unsigned char* FINGERFLOW_RESTRICT lit) {
+    for (std::int64_t x = 0; x < width; ++x) {
+        const float lamp = light[x];
+        const float lost = kAll - (static_cast<float>(row[x]) - black[x]) * (kScale * (1.0f / (lamp > 0 ? lamp : 1.0f)));
+        const bool has = (lamp > 0) & (finite || fabsf(lost) <= FLT_MAX);
+        const float level = has ? lost : kNone, above = level > 0 ? level : 0.0f, within = above < kAll ? above : kAll;
+        levels[x] = static_cast<unsigned char>(static_cast<int>((within + kWhole) - kWhole));
+        lit[x] = has;
+    }
+}
+
+}  // namespace
+
+// Writes the levels of a line and which pixels are lit; `light` and `black` are those of the line.
+void levels_of_line(const Frames& frames, std::int64_t y, const float* light, const float* black, unsigned char* levels,
+                    unsigned char* lit) {
+    const auto find = [&](const auto* data) {
+        levels_of<true>(data + y * frames.row_stride, light, black, frames.width, levels, lit);
+    };
+    switch (frames.kind) {
+        case kUint8: return find(static_cast<const std::uint8_t*>(frames.data));
+        case kUint16: return find(static_cast<const std::uint16_t*>(frames.data));
+        case kInt32: return find(static_cast<const std::int32_t*>(frames.data));
+        default:
+            return levels_of<false>(static_cast<const float*>(frames.data) + y * frames.row_stride, light, black, frames.width,
+                                    levels, lit);
+    }
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
+
+#if FINGERFLOW_ONCE
+
+namespace fingerflow {
+FINGERFLOW_OTHER_SETS(levels_of_line)
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -26,6 +77,18 @@ constexpr int kRounds = 2, kLevels = 256;
 struct Classes {
     float threshold, lower, upper, deviation;
 };
+
+// Counts the levels of the pixels inside a mask. Neighbours are often equal, and incrementing one counter twice waits
+// for its store: four histograms in turns.
+void count_levels(const unsigned char* levels, const unsigned char* mask, std::int64_t pixels, std::int64_t* counts) {
+    constexpr int sides = 4;
+    std::int64_t of_sides[sides][kLevels] = {};
+    for (std::int64_t k = 0; k < pixels; ++k)
+        if (mask[k] != 0) ++of_sides[k % sides][levels[k]];
+    std::fill_n(counts, kLevels, 0);
+    for (const auto& side : of_sides)
+        for (int level = 0; level < kLevels; ++level) counts[level] += side[level];
+}
 
 // As `otsu_classes` of fingerflow/ops/contact/otsu.py.
 Classes classes_of(const std::int64_t* counts) {
@@ -86,15 +149,14 @@ public:
     Frame(const fingerflow_lit_frames& given, std::int64_t frame, int size, const std::uint16_t* table, std::int64_t radius,
           std::int64_t side, std::int64_t stride, int threads)
         : lit_(given), size_(size), table_(table), radius_(radius), side_(side), stride_(stride), threads_(threads),
-          height_(given.height), width_(given.width), rows_((height_ + stride - 1) / stride),
+          height_(given.frames.height), width_(given.frames.width), rows_((height_ + stride - 1) / stride),
           columns_((width_ + stride - 1) / stride), down_((height_ + side - 1) / side), across_((width_ + side - 1) / side) {
         constexpr std::int64_t bytes[] = {1, 2, 4, 4};  // a pixel of each kind
-        const std::int64_t pixels = height_ * width_, before = frame * given.frames.image_stride;
+        const std::int64_t pixels = height_ * width_, before = frame * given.frames.frame_stride;
         lit_.frames.data = static_cast<const char*>(given.frames.data) + before * bytes[given.frames.kind];
-        lit_.frames.count = 1;
         lit_.light += given.lights == 1 ? 0 : frame * pixels;
         lit_.black += given.blacks == 1 ? 0 : frame * pixels;
-        lit_.lights = lit_.blacks = lit_.batch = 1;
+        lit_.lights = lit_.blacks = lit_.frames.batch = 1;
         const std::int64_t plane = whole(pixels), line = whole(columns_), cells = whole(4 * down_ * across_);
         auto* memory = static_cast<unsigned char*>(workspace<Keeper::kCaller>(static_cast<std::size_t>(4 * plane + line + cells)));
         levels_ = memory;
@@ -108,7 +170,7 @@ public:
     float threshold(float gain) {
         smooth();
         std::int64_t counts[kLevels];
-        count(wanted_, counts);
+        count_levels(smooth_, wanted_, rows_ * columns_, counts);
         const float brightness = std::isfinite(gain) ? gain : 1.0f;
         const auto share = [&](float level) { return 1 - (1 - (level / kScale + kLow)) / brightness; };
         const Classes classes = classes_of(counts);
@@ -118,7 +180,7 @@ public:
         for (int round = 0; round < kRounds; ++round) {
             if (!std::isfinite(level)) return kNaN;
             find_region(1 - ((level + 0.5f) / kScale + kLow));
-            count(mask_, counts);
+            count_levels(smooth_, mask_, rows_ * columns_, counts);
             level = half_way(counts, level, classes);
         }
         const float threshold = share(level);
@@ -130,31 +192,22 @@ private:
 
     // Writes median-filtered levels and which of them are lit, of the subsampled pixels, (rows_, columns_).
     void smooth() {
-        const fingerflow_image& image = lit_.frames;
-        const Frames frames{image.data, 1, height_, width_, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
-        const auto find = FINGERFLOW_PICK(levels_of_line);
-        const std::int64_t half = size_ / 2, piece_rows = std::max<std::int64_t>(16, (height_ + threads_ - 1) / threads_);
-        parallel_for((height_ + piece_rows - 1) / piece_rows, threads_, [&](std::int64_t piece) {
-            for (std::int64_t y = piece * piece_rows; y < std::min(height_, (piece + 1) * piece_rows); ++y) {
+        const std::int64_t half = size_ / 2, rows = std::max<std::int64_t>(16, (height_ + threads_ - 1) / threads_);
+        for_ranges(height_, rows, threads_, [&](std::int64_t top, std::int64_t bottom) {
+            for (std::int64_t y = top; y < bottom; ++y) {
                 const std::int64_t beyond = y % stride_;
                 if (beyond > half && beyond + half < stride_) continue;  // no window reads the line
                 const std::int64_t at = y * width_;
-                find(frames, y, lit_.light + at, lit_.black + at, levels_ + at, wanted_ + at);
+                FINGERFLOW_PICK(levels_of_line)(lit_.frames, y, lit_.light + at, lit_.black + at, levels_ + at, wanted_ + at);
             }
         });
-        if (size_ == 1)
-            std::swap(levels_, smooth_);
-        else
-            fingerflow_median(levels_, smooth_, 1, height_, width_, height_ * width_, width_, 1, size_, table_, threads_);
+        const Frames levels{levels_, 1, height_, width_, height_ * width_, width_, kUint8};
+        if (size_ == 1) std::swap(levels_, smooth_);
+        else fingerflow_median(&levels, smooth_, size_, table_, threads_);
         if (stride_ == 1) return;
         for (unsigned char* const plane : {smooth_, wanted_})
             for (std::int64_t y = 0; y < rows_; ++y)
                 for (std::int64_t x = 0; x < columns_; ++x) plane[y * columns_ + x] = plane[y * stride_ * width_ + x * stride_];
-    }
-
-    void count(const unsigned char* mask, std::int64_t* counts) const {
-        fingerflow_histogram(smooth_, 1, rows_, columns_, rows_ * columns_, columns_, kUint8, mask, 1, rows_ * columns_, columns_,
-                             nullptr, kLevels, counts, threads_);
     }
 
     // Writes to `mask_` (rows_, columns_) the lit pixels in the contact region of the given limit.
@@ -194,6 +247,8 @@ void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const floa
         thresholds[frame] = Frame(*given, frame, size, table, radius, side, stride, own).threshold(gains[frame]);
     };
     // One thread a frame, or all threads for a single frame.
-    if (given->batch == 1) return find(0, threads);
-    parallel_for(given->batch, threads, [&](std::int64_t frame) { find(frame, 1); });
+    if (given->frames.batch == 1) return find(0, threads);
+    parallel_for(given->frames.batch, threads, [&](std::int64_t frame) { find(frame, 1); });
 }
+
+#endif

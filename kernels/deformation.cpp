@@ -1,94 +1,168 @@
+// build: each instruction set, fused
 // Positions corrected for the deformation of the skin (fingerflow/ops/tracking/deformation.py). A local linear fit to
 // the displacements gives the warp F = I + grad u at each point, a second fit to these gradients gives u's second
-// derivatives; correct_block subtracts their effect on a template's position.
-// Layout: points are their own queries, in blocks of kFitBlock, one a lane. A record of a point and frame is 1 (usable)
-// or 0 and its values less their mean; `second_` is (frames, points, 4 gradient components, 2 directions).
+// derivatives; their effect on a template's position is subtracted.
+// E = F F_0^-1 - I, with F_0 the warp of the template. Position: x - lean E - (area - 1) / 24 laplacian u. Noise of the
+// fit: max(noise - e' Q e / freedom, min(noise, template noise)), which scales the covariance.
+// Layout: points are their own queries, in blocks of kFitBlock, one a lane; `Columns` transposes [point][component] to
+// [component][point] and back. `second_` is (frames, points, 4 gradient components, 2 directions).
+#include <math.h>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <vector>
 
-#include "deformation_block.h"
+#include "instruction_sets.h"
 #include "interface.h"
+#include "lanes.h"
 #include "local_fit_block.h"
 #include "local_fit_cloud.h"
 #include "parallel.h"
+#include "tracking_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {
+
+namespace FINGERFLOW_ISA {
 namespace {
 
-static_assert(kDeformedPoints == kFitBlock, "points are corrected in the blocks in which they are fitted");
+constexpr int kMany = kFitBlock;
+constexpr float kTiny = 1e-20f;
+
+// Components of all points of a block, component by component.
+template <int kComponents>
+struct Columns {
+    float of[kComponents][kMany];
+
+    void read(const float* from, std::int64_t stride, const std::int64_t* point, int count) {
+        for (int q = 0; q < kMany; ++q) {
+            const float* const numbers = from + point[q < count ? q : 0] * stride;
+            for (int k = 0; k < kComponents; ++k) of[k][q] = numbers[k];
+        }
+    }
+    void write(float* to, const std::int64_t* point, int count) const {
+        for (int q = 0; q < count; ++q)
+            for (int k = 0; k < kComponents; ++k) to[point[q] * kComponents + k] = of[k][q];
+    }
+};
+
+inline float known_or_zero(float value) { return value - value == 0.0f ? value : 0.0f; }
+// NaN where either is NaN.
+inline float lesser(float a, float b) { return a < b || a != a ? a : b; }
+inline float greater(float a, float b) { return a > b || a != a ? a : b; }
+
+// Template statistics of a block's points.
+struct Statistics {
+    Columns<4> inverse_warp;
+    Columns<8> lean;
+    Columns<10> bending;
+    Columns<1> unit, noise;
+};
+
+}  // namespace
+
+// Corrects `count` points, given by index, in all frames. `warp` holds the displacement gradient and becomes the
+// deformation gradient; `expected` holds a displacement and becomes a position. `second` (frames, points, 4, 2) is
+// the gradient of the displacement gradient.
+void correct_block(const fingerflow_deformation& given, const float* second, const std::int64_t* point, int count) {
+    Statistics of;
+    of.inverse_warp.read(given.inverse_warp, 4, point, count);
+    of.lean.read(given.numbers + kLean, kNumbers, point, count);
+    of.bending.read(given.numbers + kBending, kNumbers, point, count);
+    of.unit.read(given.numbers + kCovarianceXx, kNumbers, point, count);
+    of.noise.read(given.numbers + kNoise, kNumbers, point, count);
+    Columns<2> start;
+    start.read(given.start, 2, point, count);
+    const auto area = static_cast<float>(given.window * given.window), half = static_cast<float>(given.window / 2);
+    const float bulging = (area - 1) / 24, freedom = 1 / ((area - 4) * kValueNoise);
+    for (std::int64_t frame = 0; frame < given.frames; ++frame) {
+        const std::int64_t first = frame * given.points;
+        Columns<2> place, expected;
+        Columns<4> warp, covariance;
+        Columns<8> bend;
+        Columns<1> shift;
+        place.read(given.found + 2 * first, 2, point, count);
+        expected.read(given.expected + 2 * first, 2, point, count);
+        warp.read(given.warp + 4 * first, 4, point, count);
+        covariance.read(given.covariance + 4 * first, 4, point, count);
+        bend.read(second + 8 * first, 8, point, count);
+        FINGERFLOW_INDEPENDENT
+        for (int q = 0; q < kMany; ++q) {
+            const float xx = 1 + known_or_zero(warp.of[0][q]), xy = known_or_zero(warp.of[1][q]);
+            const float yx = known_or_zero(warp.of[2][q]), yy = 1 + known_or_zero(warp.of[3][q]);
+            warp.of[0][q] = xx;
+            warp.of[1][q] = xy;
+            warp.of[2][q] = yx;
+            warp.of[3][q] = yy;
+            // E = F F_0^-1 - I.
+            const float(&inverse)[4][kMany] = of.inverse_warp.of;
+            const float unknown[] = {xx * inverse[0][q] + xy * inverse[2][q] - 1, xx * inverse[1][q] + xy * inverse[3][q],
+                                     yx * inverse[0][q] + yy * inverse[2][q], yx * inverse[1][q] + yy * inverse[3][q] - 1};
+            float x = place.of[0][q] - bulging * known_or_zero(bend.of[0][q] + bend.of[3][q]);
+            float y = place.of[1][q] - bulging * known_or_zero(bend.of[4][q] + bend.of[7][q]);
+            float squares = 0;
+            for (int k = 0; k < 4; ++k) {
+                x -= of.lean.of[k][q] * unknown[k];
+                y -= of.lean.of[4 + k][q] * unknown[k];
+                squares += unknown[k] * unknown[k];
+            }
+            place.of[0][q] = x;
+            place.of[1][q] = y;
+            shift.of[0][q] = half * sqrtf(squares);
+            // Unmodelled deformation adds e'Qe to the residual, which would otherwise count as noise.
+            float bending = 0;
+            for (int i = 0, pair = 0; i < 4; ++i)
+                for (int j = i; j < 4; ++j, ++pair) bending += of.bending.of[pair][q] * (unknown[i] * unknown[j]);
+            const float noise = covariance.of[0][q] / of.unit.of[0][q];
+            const float remaining = greater(noise - bending * freedom, lesser(noise, of.noise.of[0][q]));
+            const float share = remaining / greater(noise, kTiny);
+            for (int k = 0; k < 4; ++k) covariance.of[k][q] *= share;
+            for (int k = 0; k < 2; ++k) expected.of[k][q] += start.of[k][q];
+        }
+        place.write(given.corrected + 2 * first, point, count);
+        expected.write(given.expected + 2 * first, point, count);
+        warp.write(given.warp + 4 * first, point, count);
+        covariance.write(given.remaining + 4 * first, point, count);
+        shift.write(given.shift + first, point, count);
+    }
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
+
+#if FINGERFLOW_ONCE
+
+namespace fingerflow {
+FINGERFLOW_OTHER_SETS(correct_block)
+namespace {
 
 // A local linear fit of `components` values at the points themselves, in all frames.
 class SelfFit {
 public:
     SelfFit(const fingerflow_deformation& given, std::int64_t components)
-        : points_(given.points),
-          components_(components),
-          records_(size(given.frames * given.points * (1 + components))),
-          levels_(size(given.frames * components)),
-          same_usable_(size(given.frames)),
-          frames_{given.frames,
-                  given.points,
-                  given.points,
-                  components,
-                  0,
-                  given.minimum_points,
-                  static_cast<float>(given.radius),
-                  static_cast<float>(given.least_spread),
-                  records_.data(),
-                  levels_.data(),
-                  same_usable_.data(),
-                  false,
-                  nullptr,
-                  nullptr,
-                  nullptr,
-                  nullptr,
-                  nullptr} {}
+        : given_(given), components_(components), records_(given.frames, given.points, components, 0) {}
 
     // Records the values of one frame; value_of(point, component) is not finite where it is unknown.
     template <class ValueOf>
     void record(std::int64_t frame, const ValueOf& value_of) {
-        std::vector<double> sums(size(components_));
-        std::int64_t usable = 0;
-        float* const records = records_.data() + frame * points_ * (1 + components_);
-        for (std::int64_t k = 0; k < points_; ++k) {
-            float* const to = records + k * (1 + components_);
-            for (std::int64_t c = 0; c < components_; ++c) to[1 + c] = value_of(k, c);
-            to[0] = finite(to + 1, components_) ? 1.0f : 0.0f;
-            if (to[0] == 0) std::fill_n(to + 1, components_, 0.0f);
-            usable += to[0] != 0;
-            for (std::int64_t c = 0; c < components_; ++c) sums[size(c)] += static_cast<double>(to[1 + c]);
-        }
-        // Subtracting the mean does not change the slope of the plane and keeps its significant digits.
-        for (std::int64_t c = 0; c < components_; ++c)
-            levels_[size(frame * components_ + c)] = static_cast<float>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
-        const float* const level = levels_.data() + frame * components_;
-        for (float* to = records; to < records + points_ * (1 + components_); to += 1 + components_)
-            for (std::int64_t c = 0; c < components_; ++c) to[1 + c] -= to[0] * level[c];
+        records_.fill(frame, [&](std::int64_t k, float* to) {
+            for (std::int64_t c = 0; c < components_; ++c) to[c] = value_of(k, c);
+            return finite(to, components_);
+        });
     }
 
     // The arguments of the fit, once all frames are recorded; `value` may be null.
     FitFrames<float> fit(float* value, float* gradient) {
-        for (std::int64_t frame = 1; frame < frames_.count; ++frame) {
-            const std::int64_t fields = 1 + components_;
-            const float *here = records_.data() + frame * points_ * fields, *before = here - points_ * fields;
-            bool same = true;
-            for (std::int64_t k = 0; same && k < points_ * fields; k += fields) same = here[k] == before[k];
-            same_usable_[size(frame)] = same;
-        }
-        FitFrames<float> frames = frames_;
-        frames.value = value;
-        frames.gradient = gradient;
-        return frames;
+        records_.compare();
+        return {given_.frames, given_.points, given_.points, components_, 0, given_.minimum_points, static_cast<float>(given_.radius),
+                static_cast<float>(given_.least_spread), records_.of(0), records_.levels_of(0), records_.same_usable(), false, value, gradient};
     }
 
 private:
-    const std::int64_t points_, components_;
-    std::vector<float> records_, levels_;
-    std::vector<unsigned char> same_usable_;
-    const FitFrames<float> frames_;
+    const fingerflow_deformation& given_;
+    const std::int64_t components_;
+    FitRecords<float> records_;
 };
 
 class Correction {
@@ -164,3 +238,5 @@ private:
 void fingerflow_correct_points(const fingerflow_deformation* given, int threads) {
     if (given->frames > 0 && given->points > 0) fingerflow::Correction(*given).run(threads);
 }
+
+#endif

@@ -29,11 +29,52 @@ constexpr int kFloats = 8;
 constexpr int kFloats = 4;
 #endif
 
+// A vector of `length` numbers: the compiler's own, or an array where it has none.
 #if defined(__GNUC__) || defined(__clang__)
-typedef float Floats __attribute__((vector_size(4 * kFloats)));
+#define FINGERFLOW_VECTORS
+template <class Number, int length>
+struct VectorOf {
+    typedef Number Type __attribute__((vector_size(sizeof(Number) * length)));
+};
+template <class Number, int length>
+using Register = typename VectorOf<Number, length>::Type;
+#else
+template <class Number, int length>
+struct Register {
+    Number of[length];
+    Number& operator[](int k) { return of[k]; }
+    Number operator[](int k) const { return of[k]; }
+    // A vector of act(0), act(1), ...
+    template <class Act>
+    static Register each(const Act& act) {
+        Register result;
+        for (int k = 0; k < length; ++k) result[k] = act(k);
+        return result;
+    }
+    static Register all(Number value) {
+        return each([&](int) { return value; });
+    }
+    friend Register operator+(const Register& a, const Register& b) {
+        return each([&](int k) { return a[k] + b[k]; });
+    }
+    friend Register operator-(const Register& a, const Register& b) {
+        return each([&](int k) { return a[k] - b[k]; });
+    }
+    friend Register operator*(const Register& a, const Register& b) {
+        return each([&](int k) { return a[k] * b[k]; });
+    }
+    friend Register operator+(const Register& a, Number b) { return a + all(b); }
+    friend Register operator-(const Register& a, Number b) { return a - all(b); }
+    friend Register operator-(Number a, const Register& b) { return all(a) - b; }
+    friend Register operator*(const Register& a, Number b) { return a * all(b); }
+    Register& operator+=(const Register& other) { return *this = *this + other; }
+};
+#endif
+using Floats = Register<float, kFloats>;
+using Floats4 = Register<float, 4>;
+#if defined(FINGERFLOW_VECTORS)
+using Integers = Register<int, kFloats>;
 inline Floats all(float value) { return Floats{} + value; }
-typedef float Floats4 __attribute__((vector_size(16)));
-typedef int Integers __attribute__((vector_size(4 * kFloats)));
 // Mask that keeps the first `count` floats of a vector and sets the others to 0.
 struct Beginning {
     Integers mask;
@@ -48,76 +89,43 @@ inline Floats kept(Floats value, const std::int32_t* mask) {
     std::memcpy(&of, mask, sizeof of);
     return (Floats)((Integers)value & of);
 }
+// Elementwise: minimum and maximum of two; max(value, 0); 1 where value > 0, else 0.
+inline Floats lesser(Floats a, Floats b) { return a < b ? a : b; }
+inline Floats greater(Floats a, Floats b) { return a > b ? a : b; }
+inline Floats positive(Floats value) { return value > all(0) ? value : all(0); }
+inline Floats is_positive(Floats value) { return value > all(0) ? all(1) : all(0); }
 #else
-struct Floats {
-    float of[kFloats];
-    float& operator[](int k) { return of[k]; }
-    float operator[](int k) const { return of[k]; }
-    Floats& operator+=(const Floats& other) {
-        for (int k = 0; k < kFloats; ++k) of[k] += other.of[k];
-        return *this;
-    }
-};
+inline Floats all(float value) { return Floats::all(value); }
 struct Beginning {
     int count;
     explicit Beginning(int count) : count(count) {}
-    Floats of(Floats value) const {
-        for (int k = count; k < kFloats; ++k) value.of[k] = 0.0f;
-        return value;
+    Floats of(const Floats& value) const {
+        return Floats::each([&](int k) { return k < count ? value[k] : 0.0f; });
     }
 };
-inline Floats kept(Floats value, const std::int32_t* mask) {
-    for (int k = 0; k < kFloats; ++k)
-        if (mask[k] == 0) value.of[k] = 0.0f;
-    return value;
+inline Floats kept(const Floats& value, const std::int32_t* mask) {
+    return Floats::each([&](int k) { return mask[k] != 0 ? value[k] : 0.0f; });
 }
-struct Floats4 {
-    float of[4];
-    float operator[](int k) const { return of[k]; }
-};
-inline Floats4 operator*(Floats4 a, const Floats4& b) {
-    for (int k = 0; k < 4; ++k) a.of[k] *= b.of[k];
-    return a;
+inline Floats lesser(const Floats& a, const Floats& b) {
+    return Floats::each([&](int k) { return a[k] < b[k] ? a[k] : b[k]; });
 }
-inline Floats4 operator+(Floats4 a, const Floats4& b) {
-    for (int k = 0; k < 4; ++k) a.of[k] += b.of[k];
-    return a;
+inline Floats greater(const Floats& a, const Floats& b) {
+    return Floats::each([&](int k) { return a[k] > b[k] ? a[k] : b[k]; });
 }
-inline Floats4 operator*(Floats4 a, float b) {
-    for (int k = 0; k < 4; ++k) a.of[k] *= b;
-    return a;
-}
-inline Floats operator+(Floats a, const Floats& b) { return a += b; }
-inline Floats operator-(Floats a, const Floats& b) {
-    for (int k = 0; k < kFloats; ++k) a.of[k] -= b.of[k];
-    return a;
-}
-inline Floats operator*(Floats a, const Floats& b) {
-    for (int k = 0; k < kFloats; ++k) a.of[k] *= b.of[k];
-    return a;
-}
-inline Floats all(float value);
-inline Floats operator+(Floats a, float b) { return a + all(b); }
-inline Floats operator-(Floats a, float b) { return a - all(b); }
-inline Floats operator-(float a, Floats b) { return all(a) - b; }
-inline Floats operator*(Floats a, float b) { return a * all(b); }
-inline Floats all(float value) {
-    Floats result;
-    for (int k = 0; k < kFloats; ++k) result.of[k] = value;
-    return result;
+inline Floats positive(const Floats& value) { return greater(value, all(0)); }
+inline Floats is_positive(const Floats& value) {
+    return Floats::each([&](int k) { return value[k] > 0 ? 1.0f : 0.0f; });
 }
 #endif
 
-inline Floats4 load4(const float* from) {
-    Floats4 value;
+template <class Vector, class Number>
+inline Vector loaded(const Number* from) {
+    Vector value;
     std::memcpy(&value, from, sizeof value);
     return value;
 }
-inline Floats load(const float* from) {
-    Floats value;
-    std::memcpy(&value, from, sizeof value);
-    return value;
-}
+inline Floats load(const float* from) { return loaded<Floats>(from); }
+inline Floats4 load4(const float* from) { return loaded<Floats4>(from); }
 // Keeps a value in a register. Unaligned vectors cross cache lines, where a load takes twice as long, and compilers
 // would load the value again for each use.
 template <class Vector>
@@ -128,31 +136,6 @@ inline Vector held(Vector value) {
     return value;
 }
 inline void store(float* to, const Floats& value) { std::memcpy(to, &value, sizeof value); }
-
-// Elementwise: minimum and maximum of two; max(value, 0); 1 where value > 0, else 0.
-#if defined(__GNUC__) || defined(__clang__)
-inline Floats lesser(Floats a, Floats b) { return a < b ? a : b; }
-inline Floats greater(Floats a, Floats b) { return a > b ? a : b; }
-inline Floats positive(Floats value) { return value > all(0) ? value : all(0); }
-inline Floats is_positive(Floats value) { return value > all(0) ? all(1) : all(0); }
-#else
-inline Floats lesser(Floats a, const Floats& b) {
-    for (int k = 0; k < kFloats; ++k) a.of[k] = a.of[k] < b.of[k] ? a.of[k] : b.of[k];
-    return a;
-}
-inline Floats greater(Floats a, const Floats& b) {
-    for (int k = 0; k < kFloats; ++k) a.of[k] = a.of[k] > b.of[k] ? a.of[k] : b.of[k];
-    return a;
-}
-inline Floats positive(Floats value) {
-    for (int k = 0; k < kFloats; ++k) value.of[k] = value.of[k] > 0 ? value.of[k] : 0.0f;
-    return value;
-}
-inline Floats is_positive(Floats value) {
-    for (int k = 0; k < kFloats; ++k) value.of[k] = value.of[k] > 0 ? 1.0f : 0.0f;
-    return value;
-}
-#endif
 
 // Sums of pairs of neighbours of `a`, then of `b`; with AVX within each half of the vectors.
 #if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
@@ -223,7 +206,7 @@ struct Split {
     std::int32_t whole[kFloats];
     Floats fraction;
 };
-#if defined(__GNUC__) || defined(__clang__)
+#if defined(FINGERFLOW_VECTORS)
 inline Split split(Floats value, float low, float high) {
     // Only the integer part is clamped: beyond the limits the fraction grows, as far as the border.
     Floats whole = value > all(low) ? value : all(low);

@@ -1,10 +1,6 @@
-"""Writes the C++ of the statuses and limits of tracking from their one list, `fingerflow/kernels/tracking_limits.py`.
-
-python kernels/generate_limits.py tracking_limits.h
-"""
+"""Generator of the C++ header of the statuses and limits in `fingerflow/kernels/tracking_limits.py`."""
 
 import runpy
-import sys
 from enum import IntEnum
 from pathlib import Path
 
@@ -12,8 +8,8 @@ SOURCE = Path(__file__).resolve().parent.parent / "fingerflow" / "kernels" / "tr
 GENERATES = "tracking_limits.h"
 
 
-def header() -> str:
-    """Enumerations as they are, numbers as float constants: kMostGain for MOST_GAIN."""
+def source() -> str:
+    """Return enumerations as they are, and numbers as constants: kMostGain for MOST_GAIN."""
     lines = ["#pragma once", "", "namespace fingerflow {", ""]
     for name, value in runpy.run_path(str(SOURCE)).items():
         if isinstance(value, type) and issubclass(value, IntEnum) and value is not IntEnum:
@@ -26,13 +22,5 @@ def header() -> str:
     return "\n".join((*lines, "", "}  // namespace fingerflow", ""))
 
 
-def main(path: str) -> None:
-    Path(path).write_text(header(), encoding="utf-8")
-
-
 def _camel(name: str) -> str:
     return "".join(part.capitalize() for part in name.split("_"))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])

@@ -1,6 +1,4 @@
-"""Writes the C++ of the median networks from the one generator `fingerflow/kernels/median_network.py`.
-
-    python kernels/generate_median.py median_networks.h
+"""Generator of the C++ of the median networks, from the programs of `fingerflow/kernels/median_network.py`.
 
 A program works on planes, one value a tile. The C++ here goes down the frame one row of tiles at a time and keeps, of
 every plane, only the rows that are still read. Three numbers place a step:
@@ -24,7 +22,7 @@ GENERATES = "median_networks.h"
 
 
 class Placement(RowOrder):
-    """Passes and scratch slots beside the order of rows."""
+    """Order of rows with the passes and the scratch slots of the planes."""
 
     def __init__(self, program: MedianProgram) -> None:
         super().__init__(program)
@@ -48,7 +46,7 @@ class Placement(RowOrder):
         return passes
 
     def _spans(self) -> dict[int, int]:
-        """How many tiles beyond the last one of a row each plane is computed for."""
+        """Return how many tiles beyond the last one of a row each plane is computed for."""
         spans = dict.fromkeys(self.leads, 0)
         for step in reversed(self.program.steps):
             for plane, read in self.operands(step):
@@ -56,7 +54,7 @@ class Placement(RowOrder):
         return spans
 
     def _scratch(self) -> tuple[dict[int, int], int]:
-        """Slots of planes that a later pass over the same row reads, free again after it."""
+        """Return the slots of planes that a later pass over the same row reads, and their number."""
         last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
         for step in self.steps:
             for plane, _ in self.operands(step):
@@ -80,7 +78,7 @@ class Placement(RowOrder):
 
 
 def network_source(program: MedianProgram) -> str:
-    """A struct with the constants of the program and one static function that runs one row of tiles."""
+    """Return a struct with the constants of the program and one static function that runs one row of tiles."""
     place = Placement(program)
     (rows, columns), right = program.tile, program.reach[1]
     passes = 1 + max(place.passes.values())
@@ -172,7 +170,7 @@ def _pass_source(place: Placement, number: int) -> list[str]:
 
 
 def _by_difference(steps: list[Step]) -> dict[int, int]:
-    """Steps whose minimum and maximum come from one difference, each with the first step of its pair.
+    """Return the steps whose minimum and maximum come from one difference, each with the first step of its pair.
 
     With p of n operations in such pairs of two, one port takes n - p and both together n + p / 2: equal for p = 0.4 n.
     """
@@ -187,12 +185,9 @@ def _by_difference(steps: list[Step]) -> dict[int, int]:
     return {result: first for first, second in chosen for result in (first, second)}
 
 
-def main(path: str) -> None:
+def source() -> str:
+    """Return the networks of all compiled sizes, and a macro that names these sizes."""
     parts = ["// Written by kernels/generate_median.py.", "#pragma once", ""]
     parts += [network_source(median_program(size)) for size in COMPILED_SIZES]
     parts += [f"#define FINGERFLOW_MEDIAN_SIZES(use) {' '.join(f'use({size})' for size in COMPILED_SIZES)}", ""]
-    Path(path).write_text("\n".join(parts))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
+    return "\n".join(parts)

@@ -26,38 +26,25 @@ void divide(const Pixel* frame, const float* light, const float* black, float le
     }
 }
 
-template <class Pixel>
-void divide_rows(const fingerflow_lit_frames& given, const float* least, std::int64_t frame, std::int64_t top,
-                 std::int64_t bottom, float* quotients, unsigned char* known) {
-    const std::int64_t pixels = given.height * given.width, light = given.lights == 1 ? 0 : frame;
-    for (std::int64_t y = top; y < bottom; ++y) {
-        const std::int64_t row = y * given.width, out = frame * pixels + row;
-        const auto* const counts =
-            static_cast<const Pixel*>(given.frames.data) + frame * given.frames.image_stride + y * given.frames.row_stride;
-        const float* const black = given.black + (given.blacks == 1 ? 0 : frame) * pixels + row;
-        divide(counts, given.light + light * pixels + row, black, least[light], given.width, quotients + out, known + out);
-    }
-}
-
 }  // namespace
 }  // namespace fingerflow
 
 void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients, unsigned char* known,
                           int threads) {
     using namespace fingerflow;
-    if (given->batch * given->height * given->width == 0) return;
-    const std::int64_t rows = std::max<std::int64_t>(16, (given->height * given->batch + 2 * threads - 1) / (2 * threads));
-    const std::int64_t pieces = (given->height + rows - 1) / rows;
-    parallel_for(given->batch * pieces, threads, [&](std::int64_t piece) {
-        const std::int64_t frame = piece / pieces, top = piece % pieces * rows, bottom = std::min(given->height, top + rows);
-        const auto as = [&](auto pixel) {
-            divide_rows<decltype(pixel)>(*given, least, frame, top, bottom, quotients, known);
+    const Frames& frames = given->frames;
+    const std::int64_t width = frames.width, pixels = frames.height * width;
+    if (frames.batch * pixels == 0) return;
+    const std::int64_t rows = std::max<std::int64_t>(16, (frames.height * frames.batch + 2 * threads - 1) / (2 * threads));
+    for_bands(frames.batch, frames.height, rows, threads, [&](std::int64_t frame, std::int64_t top, std::int64_t bottom) {
+        const std::int64_t light = given->lights == 1 ? 0 : frame, black = given->blacks == 1 ? 0 : frame;
+        const auto divide_rows = [&](const auto* data) {
+            for (std::int64_t y = top; y < bottom; ++y) {
+                const std::int64_t row = y * width, out = frame * pixels + row;
+                divide(data + frame * frames.frame_stride + y * frames.row_stride, given->light + light * pixels + row,
+                       given->black + black * pixels + row, least[light], width, quotients + out, known + out);
+            }
         };
-        switch (static_cast<PixelKind>(given->frames.kind)) {
-            case kUint8: return as(std::uint8_t());
-            case kUint16: return as(std::uint16_t());
-            case kInt32: return as(std::int32_t());
-            default: return as(float());
-        }
+        FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, divide_rows)
     });
 }

@@ -1,8 +1,15 @@
 // Choice of the instruction set: one library holds the hot loops compiled for several sets and picks one at run time.
 //
-// A source of hot loops is compiled once for each set, in the namespace FINGERFLOW_ISA. It must not call inline or
-// template functions of the standard library, of which the linker keeps one copy for all sets.
+// A source of hot loops is compiled once for each set, in the namespace FINGERFLOW_ISA. These must not call inline or
+// template functions of the standard library, of which the linker keeps one copy for all sets. What follows
+// `#if FINGERFLOW_ONCE` is compiled with the baseline alone: FINGERFLOW_OTHER_SETS declares a function of FINGERFLOW_ISA
+// for the other sets, and FINGERFLOW_PICK is that of the set in use.
 #pragma once
+
+#define FINGERFLOW_ONCE_baseline 1
+#define FINGERFLOW_JOINED(one, other) one##other
+#define FINGERFLOW_JOIN(one, other) FINGERFLOW_JOINED(one, other)
+#define FINGERFLOW_ONCE FINGERFLOW_JOIN(FINGERFLOW_ONCE_, FINGERFLOW_ISA)
 
 #ifdef FINGERFLOW_X86
 #define FINGERFLOW_FOR_EACH_SET(declaration) \
@@ -15,8 +22,16 @@
     namespace avx512 {                       \
     declaration                              \
     }
+#define FINGERFLOW_OTHER_SETS(function)      \
+    namespace avx2 {                         \
+    decltype(baseline::function) function;   \
+    }                                        \
+    namespace avx512 {                       \
+    decltype(baseline::function) function;   \
+    }
 #define FINGERFLOW_PICK(function) (fingerflow::pick(baseline::function, avx2::function, avx512::function))
 #else
+#define FINGERFLOW_OTHER_SETS(function)
 #define FINGERFLOW_FOR_EACH_SET(declaration) \
     namespace baseline {                     \
     declaration                              \

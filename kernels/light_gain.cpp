@@ -1,8 +1,12 @@
+// build: each instruction set, fused
 // Illumination gain of each frame (fingerflow/ops/contact/light_gain.py): the uppermost mode of the quotients
 // sum(frame - black) / sum(light) of blocks of side x side px. It is found by four means within a shrinking width
 // around the largest kTop of the quotients, and is NaN where too few blocks lie at the mode or too many just below.
-// Layout: every kStep-th line is read; `Blocks` holds four arrays of (rows of blocks, columns of blocks) floats a
-// frame. A row of blocks of all frames is one piece for a thread.
+// Layout: every kStep-th line is read, one column a lane, into four rows of floats: frame - black, light and their
+// squares. `Blocks` holds four arrays of (rows of blocks, columns of blocks) floats a frame. A row of blocks of all frames
+// is one piece for a thread.
+#include <float.h>
+#include <math.h>
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -10,12 +14,98 @@
 #include <limits>
 #include <vector>
 
+#include "floats.h"
+#include "instruction_sets.h"
 #include "interface.h"
-#include "light_gain_rows.h"
+#include "lanes.h"
 #include "parallel.h"
+#include "pixels.h"
 #include "workspace.h"
 
 namespace fingerflow {
+
+// Sums over lines by column, (width) each: frame - black, light, and the squares of both.
+struct LitColumns {
+    float *passed, *light, *passed_squared, *light_squared;
+};
+
+namespace FINGERFLOW_ISA {
+namespace {
+
+template <class Pixel>
+void add_line(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTRICT light,
+              const float* FINGERFLOW_RESTRICT black, std::int64_t width, float* FINGERFLOW_RESTRICT passed,
+              float* FINGERFLOW_RESTRICT lamps, float* FINGERFLOW_RESTRICT passed_squared,
+              float* FINGERFLOW_RESTRICT lamps_squared) {
+    for (std::int64_t x = 0; x < width; ++x) {
+        const float own = static_cast<float>(row[x]) - black[x], lamp = light[x];
+        const bool lit = (lamp > 0.0f) & (fabsf(own) <= FLT_MAX);
+        const float count = lit ? own : 0.0f, given = lit ? lamp : 0.0f;
+        passed[x] += count;
+        lamps[x] += given;
+        passed_squared[x] += count * count;
+        lamps_squared[x] += given * given;
+    }
+}
+
+}  // namespace
+
+// Adds the lit pixels of a line to the columns; `light` and `black` are those of the line. `ahead` is a later line
+// to prefetch, since hardware does not prefetch lines that do not follow each other.
+void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std::int64_t ahead, const float* light,
+                  const float* black, const LitColumns& columns) {
+    const auto add = [&](const auto* data) {
+        const auto *const row = data + frame * frames.frame_stride, *const next = row + ahead * frames.row_stride;
+        for (std::int64_t x = 0; x < frames.width; x += 64 / static_cast<std::int64_t>(sizeof *row)) FINGERFLOW_PREFETCH(next + x);
+        add_line(row + y * frames.row_stride, light, black, frames.width, columns.passed, columns.light,
+                 columns.passed_squared, columns.light_squared);
+    };
+    FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, add)
+}
+
+// Writes the sums of each `side` neighbours of blocks x side `numbers`, which are overwritten.
+void sum_blocks(float* numbers, std::int64_t blocks, std::int64_t side, float* sums) {
+    // Adds pairs of neighbours as long as `side` is even, which vectorizes.
+    for (; side % 2 == 0; side /= 2) {
+        const std::int64_t count = blocks * side / 2;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t k = 0; k < count; ++k) numbers[k] = numbers[2 * k] + numbers[2 * k + 1];
+    }
+    for (std::int64_t block = 0; block < blocks; ++block) {
+        float sum = numbers[block * side];
+        for (std::int64_t k = 1; k < side; ++k) sum += numbers[block * side + k];
+        sums[block] = sum;
+    }
+}
+
+// Mean of the numbers within `width` of `middle`, 0 if there is none; `count` is a multiple of 16.
+float mean_within(const float* numbers, std::int64_t count, float middle, float width) {
+    Floats sum = all(0), number = all(0);
+    for (std::int64_t k = 0; k < count; k += kFloats) {
+        const Floats value = load(numbers + k), away = value - middle;
+        const Floats beyond = is_positive(greater(away, 0.0f - away) - width);
+        number += 1.0f - beyond;
+        sum += value * (1.0f - beyond);
+    }
+    float sums[kFloats], counts[kFloats], total = 0, found = 0;
+    store(sums, sum);
+    store(counts, number);
+    for (int k = 0; k < kFloats; ++k) {
+        total += sums[k];
+        found += counts[k];
+    }
+    return found > 0 ? total / found : 0.0f;
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
+
+#if FINGERFLOW_ONCE
+
+namespace fingerflow {
+FINGERFLOW_OTHER_SETS(add_lit_line)
+FINGERFLOW_OTHER_SETS(sum_blocks)
+FINGERFLOW_OTHER_SETS(mean_within)
 namespace {
 
 constexpr std::int64_t kStep = 4;
@@ -61,29 +151,28 @@ float uppermost_mode(const Blocks& blocks) {
 
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) {
     using namespace fingerflow;
-    const std::int64_t width = given->width, rows = side / kStep, pixels = given->height * width;
-    const std::int64_t lines = (given->height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
-    const fingerflow_image& image = given->frames;
-    const Frames frames{image.data, given->batch, given->height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
+    const Frames& frames = given->frames;
+    const std::int64_t width = frames.width, rows = side / kStep, pixels = frames.height * width;
+    const std::int64_t lines = (frames.height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
     const auto add = FINGERFLOW_PICK(add_lit_line);
     const auto sum = FINGERFLOW_PICK(sum_blocks);
     if (down * across <= 0) {
-        std::fill_n(gains, given->batch, std::numeric_limits<float>::quiet_NaN());
+        std::fill_n(gains, frames.batch, std::numeric_limits<float>::quiet_NaN());
         return;
     }
-    std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
+    std::vector<Blocks> blocks(static_cast<std::size_t>(frames.batch), Blocks(static_cast<std::size_t>(down * across)));
     // A row of blocks of all frames at a time, so that the empty glass is read once for all of them.
     parallel_for(down, threads, [&](std::int64_t row) {
         const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
         auto* const memory = static_cast<float*>(workspace(4 * bytes));
         const LitColumns columns{memory, memory + width, memory + 2 * width, memory + 3 * width};
-        for (std::int64_t frame = 0; frame < given->batch; ++frame) {
+        for (std::int64_t frame = 0; frame < frames.batch; ++frame) {
             const float* const light = given->light + (given->lights == 1 ? 0 : frame) * pixels;
             const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels;
             std::memset(memory, 0, 4 * bytes);
             for (std::int64_t line = row * rows; line < (row + 1) * rows; ++line) {
                 const std::int64_t y = kStep / 2 + line * kStep;
-                add(frames, frame, y, std::min(y + 2 * kStep, given->height - 1), light + y * width, black + y * width, columns);
+                add(frames, frame, y, std::min(y + 2 * kStep, frames.height - 1), light + y * width, black + y * width, columns);
             }
             Blocks& to = blocks[static_cast<std::size_t>(frame)];
             sum(columns.passed, across, side, to.passed.data() + row * across);
@@ -92,5 +181,7 @@ void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side
             sum(columns.light_squared, across, side, to.light_squared.data() + row * across);
         }
     });
-    parallel_for(given->batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
+    parallel_for(frames.batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
 }
+
+#endif

@@ -22,35 +22,13 @@ template <class Real>
 class Fits {
 public:
     Fits(const fingerflow_local_fit& given, double radius, double least_spread)
-        : given_(given),
-          radius_(radius),
-          shared_(given.points_batch == 1 && given.queries_batch == 1),
-          fields_(1 + given.components + given.noises),
-          records_(size(given.batch * given.point_count * fields_)),
-          levels_(size(given.batch * given.components)),
-          same_usable_(size(given.batch)),
-          frames_{shared_ ? given.batch : 1,
-                  given.point_count,
-                  given.query_count,
-                  given.components,
-                  given.noises,
-                  given.minimum_points,
-                  static_cast<Real>(radius),
-                  static_cast<Real>(least_spread),
-                  nullptr,
-                  nullptr,
-                  same_usable_.data(),
-                  symmetric(given),
-                  nullptr,
-                  nullptr,
-                  nullptr,
-                  nullptr,
-                  nullptr} {}
+        : given_(given), radius_(radius), least_spread_(least_spread), shared_(given.points_batch == 1 && given.queries_batch == 1),
+          symmetric_(symmetric(given)), records_(given.batch, given.point_count, given.components, given.noises) {}
 
     void run(int threads) {
         if (given_.batch == 0) return;
         parallel_for(given_.batch, threads, [&](std::int64_t frame) { record(frame); });
-        for (std::int64_t frame = 1; frame < given_.batch; ++frame) same_usable_[size(frame)] = same_as_before(frame);
+        records_.compare();
         if (shared_) {
             const Cloud<Real> cloud = cloud_of(0);
             parallel_for(fit_blocks_of(cloud), threads, [&](std::int64_t block) { fit(0, cloud, block); });
@@ -85,43 +63,20 @@ private:
         return part(given_.queries, given_.queries_batch, frame, 2 * given_.query_count);
     }
 
-    // Writes the records of a frame and the means (levels) of its values.
     void record(std::int64_t frame) {
         const std::int64_t count = given_.point_count, components = given_.components, noises = given_.noises;
         const Real* const place = points(frame);
         const Real* const values = part(given_.values, given_.values_batch, frame, count * components);
         const Real* const noise = part(given_.noise, given_.noise_batch, frame, count * noises);
-        Real* const records = records_.data() + frame * count * fields_;
         const std::int64_t own = noises == 1 ? 1 : components + 1;  // step from one component's variance to the next
-        std::vector<double> sums(size(components));
-        std::int64_t usable = 0;
-        for (std::int64_t k = 0; k < count; ++k) {
+        records_.fill(frame, [&](std::int64_t k, Real* to) {
             const Real *value = values + k * components, *variance = noise + k * noises;
             bool good = finite(place + 2 * k, 2) && finite(value, components) && finite(variance, noises);
             for (std::int64_t v = 0; v < noises; v += own) good = good && variance[v] >= 0;
-            if (!good) continue;
-            ++usable;
-            Real* const to = records + k * fields_;
-            to[0] = 1;
-            std::copy(value, value + components, to + 1);
-            std::copy(variance, variance + noises, to + 1 + components);
-            for (std::int64_t c = 0; c < components; ++c) sums[size(c)] += static_cast<double>(value[c]);
-        }
-        for (std::int64_t c = 0; c < components; ++c) {
-            // Subtracting the mean does not change the slope of the plane and keeps its significant digits.
-            const auto level = static_cast<Real>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
-            levels_[size(frame * components + c)] = level;
-            for (Real* to = records; to < records + count * fields_; to += fields_)
-                if (to[0] != 0) to[1 + c] -= level;
-        }
-    }
-
-    unsigned char same_as_before(std::int64_t frame) const {
-        const std::int64_t numbers = given_.point_count * fields_;
-        const Real* const here = records_.data() + frame * numbers;
-        for (std::int64_t k = 0; k < numbers; k += fields_)
-            if (here[k] != here[k - numbers]) return 0;
-        return 1;
+            std::copy(value, value + components, to);
+            std::copy(variance, variance + noises, to + components);
+            return good;
+        });
     }
 
     // Sorts the points and queries of a geometry into cells; writes NaN for queries that are not finite.
@@ -144,12 +99,21 @@ private:
     }
 
     FitFrames<Real> frames_of(std::int64_t geometry) {
-        FitFrames<Real> frames = frames_;
         const std::int64_t components = given_.components, first = geometry * given_.query_count;
-        frames.records = records_.data() + geometry * given_.point_count * fields_;
-        frames.levels = levels_.data() + geometry * components;
-        frames.value = static_cast<Real*>(given_.value) + first * components;
-        frames.gradient = static_cast<Real*>(given_.gradient) + 2 * first * components;
+        FitFrames<Real> frames{shared_ ? given_.batch : 1,
+                               given_.point_count,
+                               given_.query_count,
+                               components,
+                               given_.noises,
+                               given_.minimum_points,
+                               static_cast<Real>(radius_),
+                               static_cast<Real>(least_spread_),
+                               records_.of(geometry),
+                               records_.levels_of(geometry),
+                               records_.same_usable(),
+                               symmetric_,
+                               static_cast<Real*>(given_.value) + first * components,
+                               static_cast<Real*>(given_.gradient) + 2 * first * components};
         if (given_.covariance != nullptr)
             frames.covariance = static_cast<Real*>(given_.covariance) + 4 * first * components * components;
         frames.point_count = given_.counts + first;
@@ -170,12 +134,9 @@ private:
     }
 
     const fingerflow_local_fit given_;
-    const double radius_;
-    const bool shared_;
-    const std::int64_t fields_;
-    std::vector<Real> records_, levels_;
-    std::vector<unsigned char> same_usable_;
-    const FitFrames<Real> frames_;  // without the pointers that differ between geometries
+    const double radius_, least_spread_;
+    const bool shared_, symmetric_;
+    FitRecords<Real> records_;
 };
 
 }  // namespace

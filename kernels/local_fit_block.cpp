@@ -21,39 +21,10 @@ namespace {
 // One vector register of floats or doubles, in which sums stay.
 template <class Real>
 constexpr int kWide = 4 * kFloats / static_cast<int>(sizeof(Real));
-#if defined(__GNUC__) || defined(__clang__)
 template <class Real>
-struct Register {
-    typedef Real Type __attribute__((vector_size(4 * kFloats)));
-};
+using Wide = Register<Real, kWide<Real>>;
 template <class Real>
-using Wide = typename Register<Real>::Type;
-#else
-template <class Real>
-struct Wide {
-    Real of[kWide<Real>];
-    Wide& operator+=(const Wide& other) {
-        for (int k = 0; k < kWide<Real>; ++k) of[k] += other.of[k];
-        return *this;
-    }
-};
-template <class Real>
-Wide<Real> operator*(Wide<Real> a, const Wide<Real>& b) {
-    for (int k = 0; k < kWide<Real>; ++k) a.of[k] *= b.of[k];
-    return a;
-}
-template <class Real>
-Wide<Real> operator*(Wide<Real> a, Real b) {
-    for (int k = 0; k < kWide<Real>; ++k) a.of[k] *= b;
-    return a;
-}
-#endif
-template <class Real>
-Wide<Real> load_wide(const Real* from) {
-    Wide<Real> value;
-    std::memcpy(&value, from, sizeof value);
-    return value;
-}
+Wide<Real> load_wide(const Real* from) { return loaded<Wide<Real>>(from); }
 
 float root(float value) { return sqrtf(value); }
 double root(double value) { return sqrt(value); }
@@ -155,8 +126,7 @@ void sum_noise(const Candidates<Real>& candidates, std::int64_t field, Real* to)
     }
 }
 
-#if defined(__GNUC__) || defined(__clang__)
-#define FINGERFLOW_AT_ONCE
+#if defined(FINGERFLOW_VECTORS)
 // The sums of `sum_usable` and `sum_values` for a single frame, without weights in memory: a third of the time.
 template <int kValues, class Real>
 void weigh_and_sum(const FitBlock<Real>& block, const FitFrames<Real>& frames, Real* usable_to, Real* values_to) {
@@ -305,7 +275,7 @@ void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real*
     const std::int64_t components = frames.components, fields = 1 + components + frames.noises;
     Candidates<Real> candidates{block.point, block.candidates, fields, weights, frames.records};
     bool at_once = false;
-#ifdef FINGERFLOW_AT_ONCE
+#if defined(FINGERFLOW_VECTORS)
     at_once = frames.count == 1 && frames.noises == 0 && (components == 2 || components == 4);
     if (at_once) (components == 2 ? weigh_and_sum<2, Real> : weigh_and_sum<4, Real>)(block, frames, usable, values_of_two);
 #endif

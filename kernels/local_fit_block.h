@@ -24,9 +24,9 @@ struct FitFrames {
     bool symmetric;                    // whether all noise matrices are symmetric
     Real* value;                       // (frames, queries, components), or null if not needed
     Real* gradient;
-    Real* covariance;  // null without variances
-    std::int64_t* point_count;  // null if neither it nor the offset is needed
-    Real* offset;
+    Real* covariance = nullptr;           // null without variances
+    std::int64_t* point_count = nullptr;  // null if neither it nor the offset is needed
+    Real* offset = nullptr;
 };
 
 // Queries, and candidates: the points that may lie within the radius of one of them.

@@ -1,5 +1,5 @@
-// Sorting of points into cells and of queries into blocks of neighbours, so that local fits visit few points beyond the
-// radius.
+// Points of local fits: records of their values, and their sorting into cells, with queries in blocks of neighbours, so
+// that few points beyond the radius are visited.
 #pragma once
 
 #include <algorithm>
@@ -17,6 +17,61 @@ bool finite(const Real* numbers, std::int64_t count) {
 }
 
 inline std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+// Records (frames, points, 1 + components + noises) of FitFrames.
+template <class Real>
+class FitRecords {
+public:
+    FitRecords(std::int64_t frames, std::int64_t points, std::int64_t components, std::int64_t noises)
+        : frames_(frames), points_(points), components_(components), fields_(1 + components + noises),
+          records_(size(frames * points * fields_)), levels_(size(frames * components)), same_usable_(size(frames)) {}
+
+    // Fills the records of a frame: write(point, to) writes the values and the noise of a point, and returns whether it
+    // is usable.
+    template <class Write>
+    void fill(std::int64_t frame, const Write& write) {
+        Real* const records = records_.data() + frame * points_ * fields_;
+        std::vector<double> sums(size(components_));
+        std::int64_t usable = 0;
+        for (std::int64_t k = 0; k < points_; ++k) {
+            Real* const to = records + k * fields_;
+            if (!write(k, to + 1)) {
+                std::fill_n(to, fields_, Real(0));
+                continue;
+            }
+            ++usable;
+            to[0] = 1;
+            for (std::int64_t c = 0; c < components_; ++c) sums[size(c)] += static_cast<double>(to[1 + c]);
+        }
+        for (std::int64_t c = 0; c < components_; ++c) {
+            // Subtracting the mean does not change the slope of the plane and keeps its significant digits.
+            const auto level = static_cast<Real>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
+            levels_[size(frame * components_ + c)] = level;
+            for (Real* to = records; to < records + points_ * fields_; to += fields_)
+                if (to[0] != 0) to[1 + c] -= level;
+        }
+    }
+
+    // Compares the usable points of each frame with those of the previous one, once all are filled.
+    void compare() {
+        const std::int64_t numbers = points_ * fields_;
+        for (std::int64_t frame = 1; frame < frames_; ++frame) {
+            const Real* const here = of(frame);
+            bool same = true;
+            for (std::int64_t k = 0; same && k < numbers; k += fields_) same = here[k] == here[k - numbers];
+            same_usable_[size(frame)] = same;
+        }
+    }
+
+    const Real* of(std::int64_t frame) const { return records_.data() + frame * points_ * fields_; }
+    const Real* levels_of(std::int64_t frame) const { return levels_.data() + frame * components_; }
+    const unsigned char* same_usable() const { return same_usable_.data(); }
+
+private:
+    const std::int64_t frames_, points_, components_, fields_;
+    std::vector<Real> records_, levels_;
+    std::vector<unsigned char> same_usable_;
+};
 
 template <class Real>
 struct Place {

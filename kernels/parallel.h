@@ -1,6 +1,7 @@
 // Parallel loops over pieces of work, on the calling thread and a pool.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <functional>
 
@@ -11,6 +12,24 @@ namespace fingerflow {
 // rethrown here once every thread has finished. May be called from several threads at once, from within a piece, and
 // after a fork.
 void parallel_for(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work);
+
+// Calls work(frame, top, bottom) for pieces of up to `rows` rows of each frame.
+template <class Work>
+void for_bands(std::int64_t batch, std::int64_t height, std::int64_t rows, int threads, const Work& work) {
+    const std::int64_t pieces = (height + rows - 1) / rows;
+    parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
+        const std::int64_t top = piece % pieces * rows;
+        work(piece / pieces, top, std::min(height, top + rows));
+    });
+}
+
+// Calls work(first, last) for pieces of up to `at_a_time` of `count` points.
+template <class Work>
+void for_ranges(std::int64_t count, std::int64_t at_a_time, int threads, const Work& work) {
+    parallel_for((count + at_a_time - 1) / at_a_time, threads, [&](std::int64_t piece) {
+        work(piece * at_a_time, std::min(count, (piece + 1) * at_a_time));
+    });
+}
 
 // For tests: pieces that fail, and a system that starts no threads.
 enum class Fault : int { kNone, kNoMemory, kError, kUnknown, kNoThread };

@@ -3,16 +3,13 @@
 
 #include <cstdint>
 
+#include "interface.h"
+
 namespace fingerflow {
 
-enum PixelKind : int { kUint8 = 0, kUint16 = 1, kInt32 = 2, kFloat32 = 3 };
+enum PixelKind : std::int64_t { kUint8 = 0, kUint16 = 1, kInt32 = 2, kFloat32 = 3 };
 
-// Frames (batch, height, width); strides in pixels, pixels of a row contiguous.
-struct Frames {
-    const void* data;
-    std::int64_t batch, height, width, frame_stride, row_stride;
-    PixelKind kind;
-};
+using Frames = fingerflow_frames;
 
 // Returns function(pointer of the type `kind`).
 #define FINGERFLOW_FOR_PIXEL(kind, data, function)                                             \

@@ -99,9 +99,6 @@ def of_kernels() -> dict[str, Callable[[], object]]:
     return {
         "median": lambda: check(own.median, first, 5),
         "real_contact_mask": lambda: check(own.real_contact_mask, first, light, 0 * light, one / 2, 3),
-        "histogram": lambda: check(own.histogram, first, mask, None, 256),
-        "dilate": lambda: check(own.dilate, mask, [0, 1, 0], False),
-        "fit_ellipse": lambda: check(own.fit_ellipse, mask),
         "apparent_contact": lambda: check(own.apparent_contact, mask, 8, 4),
         "corners": lambda: check(own.corners, first, None, one, **corners),
         "prepare_templates": lambda: check(own.prepare_templates, first, points, None, one, 11, True, 0.0),

@@ -51,12 +51,9 @@ def empty(like: Array, kind: str, *shape: int) -> Array:
 
 def zeros(like: Array, kind: str, *shape: int) -> Array:
     """Return zeros of the kind of `like`."""
-    given: Any = like
-    if isinstance(given, np.ndarray):
-        made: Any = np.zeros(shape, kind)
-    else:
-        made = given.new_zeros(shape, dtype=getattr(sys.modules["torch"], kind))
-    return made  # type: ignore[no-any-return]
+    made: Any = empty(like, kind, *shape)
+    made[...] = 0
+    return cast(Array, made)
 
 
 def in_one_piece(array: Array) -> Array:

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import kind, rows_in_one_piece
-from fingerflow.kernels.checks import FRAME_KINDS, check_frames, extent
+from fingerflow.kernels.arrays import rows_in_one_piece
+from fingerflow.kernels.checks import check_frames, described
 from fingerflow.kernels.library import entry, threads
 
 Array = NDArray[Any]
@@ -25,12 +25,9 @@ def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) 
     read = [len(range(step // 2, side, step)) for side, step in zip(frames.shape[2:], steps, strict=True)]
     if not all(1 <= count <= most for count, most in zip(blocks, read, strict=True)):
         raise ValueError(f"{blocks} blocks of {read} lines and pixels that are read: give 1 to as many")
-    frames = rows_in_one_piece(frames)
     means, lines = np.empty((len(frames), *blocks), np.float32), np.empty((len(frames), read[0]), np.float32)
     entry("block_means")(
-        frames=frames,
-        **extent(frames),
-        kind=FRAME_KINDS[kind(frames)],
+        **described(rows_in_one_piece(frames)),
         down=steps[0],
         along=steps[1],
         rows=blocks[0],

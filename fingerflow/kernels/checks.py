@@ -49,18 +49,19 @@ def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
             )
 
 
-def extent(frames: Shaped) -> dict[str, int]:
-    """Return batch, height, width, and the strides of a frame and of a row in pixels."""
+def described(frames: Array) -> dict[str, Array | int]:
+    """Return the fields of a `fingerflow_frames` of frames (B, 1, H, W) with contiguous rows."""
     batch, _, height, width = frames.shape
     frame_stride, row_stride = strides_of_rows(frames)
-    return {"batch": batch, "height": height, "width": width, "frame_stride": frame_stride, "row_stride": row_stride}
-
-
-def described(frames: Array) -> dict[str, Array | int]:
-    """Return the fields of a `fingerflow_image` of frames with contiguous rows."""
-    image_stride, row_stride = strides_of_rows(frames)
-    strides = {"image_stride": image_stride, "row_stride": row_stride}
-    return {"data": frames, "count": frames.shape[0], **strides, "kind": FRAME_KINDS[kind(frames)]}
+    return {
+        "data": frames,
+        "batch": batch,
+        "height": height,
+        "width": width,
+        "frame_stride": frame_stride,
+        "row_stride": row_stride,
+        "kind": FRAME_KINDS[kind(frames)],
+    }
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
@@ -75,17 +76,12 @@ def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
             raise TypeError(f"{name} is {kind(image)}: float32 is needed")
         if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
             raise ValueError(f"{name} of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
-    frames = rows_in_one_piece(frames)
-    batch, _, height, width = frames.shape
     return {
-        **described(frames),
+        **described(rows_in_one_piece(frames)),
         "light": in_one_piece(light),
         "black": in_one_piece(black),
         "lights": light.shape[0],
         "blacks": black.shape[0],
-        "batch": batch,
-        "height": height,
-        "width": width,
     }
 
 

@@ -1,53 +1,24 @@
 """Kernels of the contact: medians, masks, thresholds, connected components, ellipses."""
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, range_of, rows_in_one_piece
+from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, rows_in_one_piece
 from fingerflow.kernels.checks import (
-    FRAME_KINDS,
     check_frames,
-    check_like,
     checked,
-    described_mask,
-    extent,
+    described,
     lit,
-    mask_of,
 )
-from fingerflow.kernels.library import entry, threads, values_are_known
+from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
-
-__all__ = [
-    "CELLS",
-    "COUNTED_KINDS",
-    "LARGEST_MAJORITY",
-    "LARGEST_MEDIAN",
-    "MEDIAN_KINDS",
-    "WIDEST_MOMENTS",
-    "apparent_contact",
-    "dilate",
-    "fill_holes",
-    "fit_ellipse",
-    "histogram",
-    "largest_component",
-    "light_gain",
-    "mask_moments",
-    "median",
-    "normalize",
-    "otsu_threshold",
-    "real_contact_mask",
-]
 
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
 CELLS = (1, 2, 4, 8)
-WIDEST_MOMENTS = (1 << 16) - 1
-COUNTED_KINDS = ("uint8", "uint16")
-_BYTES = {"uint8": 1, "uint16": 2}
 
 
 def median(frames: Array, size: int) -> Array:
@@ -62,10 +33,8 @@ def median(frames: Array, size: int) -> Array:
     frames = rows_in_one_piece(frames)
     medians = empty(frames, kind(frames), *frames.shape)
     entry("median")(
-        frames=frames,
+        **described(frames),
         medians=medians,
-        **extent(frames),
-        pixel_bytes=_BYTES[kind(frames)],
         size=size,
         table=table_of(int(size)),  # the torch compiler passes a size without a value
         threads=threads(),
@@ -125,105 +94,6 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
     return quotients, known
 
 
-def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
-    """Return the histogram (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
-
-    `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, or fewer bins than levels without `bin_of_level`.
-    """
-    check_frames(frames, COUNTED_KINDS)
-    levels = 1 << 8 * _BYTES[kind(frames)]
-    if bin_of_level is not None:
-        check_like("bin_of_level", bin_of_level, "uint16", (levels,))
-        if values_are_known() and (highest := range_of(bin_of_level)[1]) >= bins:
-            raise ValueError(f"bin_of_level goes up to {highest}: there are {bins} bins, from 0 on")
-        bin_of_level = in_one_piece(bin_of_level)
-    if bins < 1 or bins > 1 << 16 or (bin_of_level is None and bins < levels):
-        raise ValueError(
-            f"{bins} bins for {levels} levels: give 1 to 65536, and the bin of each level if they are fewer"
-        )
-    frames = rows_in_one_piece(frames)
-    mask = None if mask is None else mask_of(frames, mask)
-    counts = empty(frames, "int64", frames.shape[0], bins)
-    entry("histogram")(
-        frames=frames,
-        **extent(frames),
-        kind=FRAME_KINDS[kind(frames)],
-        **described_mask(mask),
-        bins=bin_of_level,
-        count=bins,
-        counts=counts,
-        threads=threads(),
-    )
-    return counts
-
-
-def otsu_threshold(counts: Array, low: float, high: float) -> Array:
-    """Return Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
-
-    Raises:
-        ValueError: wrong dtype or shape.
-    """
-    batch = counts.shape[0]
-    check_like("counts", counts, "int64", (batch, 256))
-    thresholds, counts = empty(counts, "float64", batch), in_one_piece(counts)
-    entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
-    return thresholds
-
-
-def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Array:
-    """Dilate a mask (B, 1, H, W) bool, or erode it with `of_background`, by an element of rows of these half widths.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, or rows that do not grow towards the middle.
-    """
-    check_frames(mask, ("bool",))
-    rows, radius = list(half_widths), len(half_widths) // 2
-    upper = rows[: radius + 1]
-    if len(rows) % 2 == 0 or rows != rows[::-1] or upper != sorted(upper) or upper[-1] > radius:
-        raise ValueError(f"an element with rows of half widths {rows}: they must grow towards the middle")
-    mask = rows_in_one_piece(mask)
-    dilated = empty(mask, "bool", *mask.shape)
-    entry("dilate")(
-        masks=mask,
-        dilated=dilated,
-        **extent(mask),
-        half_widths=np.array(rows, np.int32),
-        radius=radius,
-        of_background=of_background,
-        threads=threads(),
-    )
-    return dilated
-
-
-def fill_holes(mask: Array) -> Array:
-    """Return the mask (B, 1, H, W) bool with its holes filled, as `ops.contact.components`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape.
-    """
-    check_frames(mask, ("bool",))
-    mask = rows_in_one_piece(mask)
-    filled = empty(mask, "bool", *mask.shape)
-    entry("fill_holes")(masks=mask, filled=filled, **extent(mask), threads=threads())
-    return filled
-
-
-def largest_component(mask: Array) -> Array:
-    """Return the largest connected component of the mask (B, 1, H, W) bool, as `ops.contact.components`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape.
-    """
-    check_frames(mask, ("bool",))
-    mask = rows_in_one_piece(mask)
-    largest = empty(mask, "bool", *mask.shape)
-    entry("largest_component")(masks=mask, largest=largest, **extent(mask), threads=threads())
-    return largest
-
-
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
     """Return the apparent contact of a mask (B, 1, H, W) bool on cells of `side` px, as `ops.contact.apparent_contact`.
 
@@ -252,34 +122,3 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
         threads=threads(),
     )
     return density_margin, numbers
-
-
-def mask_moments(mask: Array) -> Array:
-    """Return the moments (B, 6) int64, sums over a mask (B, 1, H, W) bool, as `ops.contact.ellipse`.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, or more than WIDEST_MOMENTS columns.
-    """
-    mask = _narrow_mask(mask)
-    moments = empty(mask, "int64", mask.shape[0], 6)
-    entry("mask_moments")(masks=mask, moments=moments, **extent(mask), threads=threads())
-    return moments
-
-
-def fit_ellipse(mask: Array) -> Array:
-    """Fit ellipses (B, 6) float64, as `ops.contact.ellipse`: centre x and y, semi axes, major first, angle and area.
-
-    Raises:
-        TypeError, ValueError: as `mask_moments`.
-    """
-    mask = _narrow_mask(mask)
-    ellipses = empty(mask, "float64", mask.shape[0], 6)
-    entry("fit_ellipse")(masks=mask, ellipses=ellipses, **extent(mask), threads=threads())
-    return ellipses
-
-
-def _narrow_mask(mask: Array) -> Array:
-    check_frames(mask, ("bool",))
-    if mask.shape[3] > WIDEST_MOMENTS:
-        raise ValueError(f"a mask {mask.shape[3]} px wide: the compiled moments end at {WIDEST_MOMENTS} px")
-    return rows_in_one_piece(mask)

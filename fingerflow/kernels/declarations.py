@@ -1,6 +1,6 @@
-"""What `interface.h` declares, read from it: how the arguments of each function are packed, and a digest of the whole.
+"""Declarations of `interface.h`: the packed arguments of each function, and a digest of the interface.
 
-Nothing but Python's own modules: the build of the library reads the header by this file too.
+Only the standard library is imported, as the build of the library reads the header by this file too.
 """
 
 import hashlib
@@ -10,26 +10,26 @@ from typing import NamedTuple
 
 HEADER = Path(__file__).with_name("interface.h")
 _CODES = {"std::int64_t": "q", "std::int32_t": "i", "int": "i", "float": "f", "double": "d"}  # of Python's `struct`
-# Read by the build too, and what both sides take for granted: sizes and numbers of tracking and of median tables.
+# Sources of constants that Python and C++ share: limits of tracking, median networks and tables.
 _SHARED = ("tracking_limits.py", "median_network.py", "median_rows.py")
 
 
 class Field(NamedTuple):
-    """A number or an address by its name; code is that of `struct`, P for an address."""
+    """Name of a number or an address, and its code in the format of `struct` (P for an address)."""
 
     name: str
     code: str
 
 
 class Function(NamedTuple):
-    """Fields in the order in which they are packed, those of structures among them, and the format of all."""
+    """Packed fields of a function in their order, those of its structures included, and their format."""
 
     fields: tuple[Field, ...]
     format: str
 
 
 def read(header: str) -> dict[str, Function]:
-    """The functions of a header by name, without the prefix `fingerflow_`.
+    """Return the functions of a header by name, without the prefix `fingerflow_`.
 
     Raises:
         ValueError: a type that cannot be packed, or a name that stands twice among the arguments of a function.
@@ -51,14 +51,14 @@ def read(header: str) -> dict[str, Function]:
 
 
 def digest(header: str) -> str:
-    """Of what the library and this package must agree on: another digest is another interface."""
+    """Return a digest of the declarations and shared constants; the library is used only if its own is equal."""
     shared = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SHARED]
     declared = [f"{name} {function.format} {function.fields}" for name, function in read(header).items()]
     return hashlib.sha256("\n".join((*declared, *shared)).encode()).hexdigest()[:16]
 
 
 def _members(line: str, structures: dict[str, list[Field]]) -> list[Field]:
-    """Of `const float *light, *black` or `fingerflow_image frames`."""
+    """Return the fields of one line of a structure, such as `const float *light, *black`."""
     first, *others = line.split(",")
     kind, pointer, name = _parsed(first)
     if not pointer and kind in structures:
@@ -71,6 +71,7 @@ def _members(line: str, structures: dict[str, list[Field]]) -> list[Field]:
 
 
 def _argument(text: str, structures: dict[str, list[Field]]) -> list[Field]:
+    """Return the fields of an argument: one, or those of the structure to which it points."""
     kind, pointer, name = _parsed(text)
     if pointer and kind in structures:
         return structures[kind]
@@ -78,7 +79,7 @@ def _argument(text: str, structures: dict[str, list[Field]]) -> list[Field]:
 
 
 def _parsed(text: str) -> tuple[str, bool, str]:
-    """Kind, whether it is an address, and name of one declaration."""
+    """Return the kind of one declaration, whether it is an address, and its name."""
     found = re.fullmatch(r"\s*(?:const )?(?:unsigned )?([\w:]+)\s*(\*?)\s*(\w+)\s*", text)
     if found is None:
         raise ValueError(f"interface.h declares {text.strip()!r}: a kind, perhaps *, and a name are expected")
@@ -86,6 +87,7 @@ def _parsed(text: str) -> tuple[str, bool, str]:
 
 
 def _code(kind: str, where: str) -> str:
+    """Return the code of a kind of number in the format of `struct`."""
     if kind not in _CODES:
         raise ValueError(f"interface.h declares {where.strip()!r}: of numbers there are {sorted(_CODES)}")
     return _CODES[kind]

@@ -2,13 +2,11 @@
 
 from typing import Generic, NamedTuple
 
-from fingerflow.kernels.arrays import Array, empty, in_one_piece
-from fingerflow.kernels.checks import check_like
+from fingerflow.kernels.arrays import Array, empty
+from fingerflow.kernels.checks import checked
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
-
-__all__ = ["CorrectedPoints", "correct_points"]
 
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
@@ -54,11 +52,6 @@ def correct_points(
         ValueError: wrong dtype or shape.
     """
     frames, count = points.shape[0], start.shape[0]
-    check_like("start", start, "float32", (count, 2))
-    check_like("points", points, "float32", (frames, count, 2))
-    check_like("covariance", covariance, "float32", (frames, count, 2, 2))
-    check_like("numbers", numbers, "float32", (count, NUMBERS))
-    check_like("inverse_warp", inverse_warp, "float32", (count, 2, 2))
     if window < 3 or not gauge_px > 0:
         raise ValueError(
             f"a window of {window} px and a gauge length of {gauge_px} px: give 3 px or more, and a length"
@@ -66,11 +59,11 @@ def correct_points(
     shapes = ((count, 2), (count, 2, 2), (count, 2, 2), (count,), (count, 2))
     result = CorrectedPoints(*(empty(points, "float32", frames, *shape) for shape in shapes))
     entry("correct_points")(
-        start=in_one_piece(start),
-        found=in_one_piece(points),
-        covariance=in_one_piece(covariance),
-        numbers=in_one_piece(numbers),
-        inverse_warp=in_one_piece(inverse_warp),
+        start=checked("start", start, "float32", (count, 2)),
+        found=checked("points", points, "float32", (frames, count, 2)),
+        covariance=checked("covariance", covariance, "float32", (frames, count, 2, 2)),
+        numbers=checked("numbers", numbers, "float32", (count, NUMBERS)),
+        inverse_warp=checked("inverse_warp", inverse_warp, "float32", (count, 2, 2)),
         corrected=result.points,
         remaining=result.covariance,
         warp=result.warp,

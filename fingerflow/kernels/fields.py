@@ -7,15 +7,8 @@ import numpy as np
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, with_axes_reversed
-from fingerflow.kernels.checks import check_indices, check_like
+from fingerflow.kernels.checks import check_indices, check_like, checked
 from fingerflow.kernels.library import entry, threads
-
-__all__ = [
-    "FittedPlanes",
-    "area_medians",
-    "local_gradients",
-    "triangle_strain",
-]
 
 _LATTICE = limits.lattice().astype(np.float32)
 
@@ -202,12 +195,6 @@ def triangle_strain(
     check_like("triangles", triangles, "int64", (count, 3))
     check_indices("triangles", triangles, points, "points")
     check_like("slopes", slopes, "float32", (count, 3, 2))
-    check_like("products", products, "float32", (3, 3, count))
-    check_like("areas", areas, "float32", (count,))
-    check_like("flat", flat, "float32", (count,))
-    check_like("displacement", displacement, "float32", (batch, points, 2))
-    check_like("covariance", covariance, "float32", (batch, points, 2, 2))
-    check_like("in_contact", in_contact, "bool", (batch, count))
     if measure not in (0, 1, 2):
         raise ValueError(f"measure {measure}: there are 0 to 2")
     direct, between, shear = stiffness
@@ -215,14 +202,14 @@ def triangle_strain(
     density, forces = empty(triangles, "float32", batch, count), empty(triangles, "float32", batch, points, 2)
     energy, own = empty(triangles, "float64", batch), empty(triangles, "float64", batch)
     entry("strain_of_triangles")(
-        displacement=in_one_piece(displacement),
-        covariance=in_one_piece(covariance),
-        in_contact=in_one_piece(in_contact),
+        displacement=checked("displacement", displacement, "float32", (batch, points, 2)),
+        covariance=checked("covariance", covariance, "float32", (batch, points, 2, 2)),
+        in_contact=checked("in_contact", in_contact, "bool", (batch, count)),
         corners=with_axes_reversed(triangles, "int32"),
         slopes=with_axes_reversed(slopes, "float32"),
-        products=in_one_piece(products),
-        areas=in_one_piece(areas),
-        flat=in_one_piece(flat),
+        products=checked("products", products, "float32", (3, 3, count)),
+        areas=checked("areas", areas, "float32", (count,)),
+        flat=checked("flat", flat, "float32", (count,)),
         strain=strain,
         strain_std=strain_std,
         density=density,

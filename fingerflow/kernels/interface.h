@@ -6,10 +6,10 @@
 
 #include <cstdint>
 
-// Images of one shape and a kind of pixels.h.
-struct fingerflow_image {
+// Frames (batch, height, width) of a kind of pixels.h; the pixels of a row are contiguous.
+struct fingerflow_frames {
     const void* data;
-    std::int64_t count, image_stride, row_stride, kind;
+    std::int64_t batch, height, width, frame_stride, row_stride, kind;
 };
 
 // The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
@@ -19,53 +19,67 @@ void fingerflow_limit_instruction_set(int most, std::int32_t* taken);
 // For tests: faults and threads of parallel.h, by their numbers.
 void fingerflow_inject_fault(int fault, std::int64_t piece, int thread);
 
-// Medians of size x size windows of `batch` frames, uint8 or uint16 as `pixel_bytes` says; `medians` is contiguous.
-// `table` is null for a compiled size, else what fingerflow/kernels/median_rows.py writes for it.
-void fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
-                       std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size,
-                       const std::uint16_t* table, int threads);
+// Medians of size x size windows of uint8 or uint16 frames; `medians` is contiguous. `table` is null for a compiled size,
+// else what fingerflow/kernels/median_rows.py writes for it.
+void fingerflow_median(const fingerflow_frames* frames, void* medians, int size, const std::uint16_t* table, int threads);
 
-// Templates of points of images prepared, and found in frames, as fingerflow/ops/tracking/templates.py describes; all float32 and
-// contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
-// samples (P, 3, window, window), numbers (P, 32); variance one an image or frame. Frames are (steps, batch):
-// points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
-// those after the last frame; results are (steps, batch x points, ...).
-void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,
-                                  std::int64_t points, float* start, const float* inverse_warp, const float* variance,
-                                  int window, int gain_offset, float rounding, float* samples,
-                                  float* numbers, int threads);
-void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width,
-                               std::int64_t batch, std::int64_t points, std::int64_t steps, int window, int rounds,
-                               const float* start, const float* samples, const float* numbers,
-                               const float* variance, float* place, float* speed, float rounding,
-                               float forward_backward_limit, float mismatch_limit, float* found, float* error,
-                               float* covariance, unsigned char* status, float* estimate, int threads);
+// Templates of `points` of each image prepared, as fingerflow/ops/tracking/templates.py describes; all contiguous. Of P =
+// images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null, samples
+// (P, 3, window, window), numbers (P, 32); variance one an image.
+struct fingerflow_prepared_templates {
+    fingerflow_frames image;
+    float* start;
+    const float *inverse_warp, *variance;
+    float *samples, *numbers;
+    std::int64_t points;
+    std::int32_t window, gain_offset;
+    float rounding;
+};
+void fingerflow_prepare_templates(const fingerflow_prepared_templates* given, int threads);
 
-// Both at once, of images (batch) and as many others with the same strides, points at rest in place: samples are kept nowhere.
-void fingerflow_find_pairs(const void* previous, const void* current, std::int64_t batch, std::int64_t height,
-                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
-                           std::int64_t points, float* start, const float* inverse_warp, const float* variance,
-                           int window, int gain_offset, int rounds, float* place, float* speed, float rounding,
-                           float forward_backward_limit, float mismatch_limit, float* numbers, float* found,
-                           float* error, float* covariance, unsigned char* status, float* estimate, int threads);
+// Templates found in frames: `points` of each of `recordings` are followed through `steps` frames, of which frame k of
+// recording b is number k x recordings + b, from place on at speed (P, 2), px and px a frame; both are replaced by those
+// after the last frame. Variance one a frame, or null for that of the templates. Results are (steps, P, ...).
+struct fingerflow_found_templates {
+    fingerflow_frames frames;
+    const float *start, *samples, *numbers, *variance;
+    float *place, *speed, *found, *error, *covariance;
+    unsigned char* status;
+    float* estimate;
+    std::int64_t recordings, points, steps;
+    std::int32_t window, rounds;
+    float rounding, forward_backward_limit, mismatch_limit;
+};
+void fingerflow_find_templates(const fingerflow_found_templates* given, int threads);
 
-// Means of 2 x 2 pixels of frames of a kind of pixels.h: (batch, height / 2, width / 2), contiguous, as the search takes them.
-void fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height, std::int64_t width,
-                      std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads);
+// Both at once, of images and as many others with the same strides, points at rest in place: samples are kept nowhere.
+void fingerflow_find_pairs(const fingerflow_frames* previous, const void* current, std::int64_t points, float* start,
+                           const float* inverse_warp, const float* variance, int window, int gain_offset, int rounds,
+                           float* place, float* speed, float rounding, float forward_backward_limit,
+                           float mismatch_limit, float* numbers, float* found, float* error, float* covariance,
+                           unsigned char* status, float* estimate, int threads);
 
-// Spline coefficients (batch, height, width) of frames of a kind of pixels.h, contiguous (fingerflow/ops/filters/spline.py).
-void fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch, std::int64_t height,
-                                    std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
-                                    int threads);
+// Means of 2 x 2 pixels: (batch, height / 2, width / 2), contiguous, as the search takes them.
+void fingerflow_halve(const fingerflow_frames* frames, float* halved, int threads);
 
-// Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/tracking/search.py describes: images
-// (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
-void fingerflow_search_windows(const float* templates, const float* images, std::int64_t height, std::int64_t width,
-                               const std::int64_t* image_index, const float* points, const float* guess,
-                               std::int64_t count, int size, int reach, float* found, int threads);
+// Spline coefficients (batch, height, width), contiguous (fingerflow/ops/filters/spline.py).
+void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients, int threads);
 
-// The same in images of two kinds of pixels.h, halved first, and the search back from where a window was found: found (count,
-// 2), and returns (count) bytes, whether it ends within `limit` px of `start`; guess (count, 2).
+// Windows found within `reach` px of a guess by normalised cross-correlation, as fingerflow/ops/tracking/search.py
+// describes: images (B, height, width) of half resolution, templates `size` px wide; image index (count), and points,
+// guess and found (count, 2) px of full resolution.
+struct fingerflow_search {
+    const float *templates, *images;
+    const std::int64_t* image_index;
+    const float *points, *guess;
+    float* found;
+    std::int64_t height, width, count;
+    std::int32_t size, reach;
+};
+void fingerflow_search_windows(const fingerflow_search* given, int threads);
+
+// The same in images of two kinds of pixels.h, halved first, and the search back from where a window was found: found
+// (count, 2), and returns (count) bytes, whether it ends within `limit` px of `start`; guess (count, 2).
 struct fingerflow_search_both_ways {
     const void *key, *current;
     const std::int64_t* image_index;
@@ -79,24 +93,27 @@ struct fingerflow_search_both_ways {
 };
 void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads);
 
-// Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/tracking/window_correlation.py): image index
-// (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
-void fingerflow_sample_windows(const fingerflow_image* images, std::int64_t height, std::int64_t width,
-                               const std::int64_t* image_index, const float* places, const float* warp,
-                               std::int64_t windows, int reach, int step, float* found, int threads);
+// Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/tracking/window_correlation.py): image
+// index (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
+struct fingerflow_sampled_windows {
+    fingerflow_frames images;
+    const std::int64_t* image_index;
+    const float *places, *warp;
+    float* found;
+    std::int64_t windows;
+    std::int32_t reach, step;
+};
+void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
-// Mean absolute response (batch) of the noise mask, of `batch` frames of a kind of pixels.h, at least 3 x 3; NaN where no
-// response is finite.
-void fingerflow_mean_response(const void* frames, double* means, std::int64_t batch, std::int64_t height,
-                              std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
-                              int threads);
+// Mean absolute response (batch) of the noise mask, of frames of at least 3 x 3; NaN where no response is finite.
+void fingerflow_mean_response(const fingerflow_frames* frames, double* means, int threads);
 
 // Frames and the light of the empty glass behind them (height, width), with the counts without light: one image, or as
 // many as frames.
 struct fingerflow_lit_frames {
-    fingerflow_image frames;
+    fingerflow_frames frames;
     const float *light, *black;
-    std::int64_t lights, blacks, batch, height, width;
+    std::int64_t lights, blacks;
 };
 
 // Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
@@ -107,53 +124,29 @@ void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const floa
 // Brightness of the lamp in each frame (fingerflow/ops/contact/light_gain.py), from blocks of `side` px, a multiple of 8.
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
-// Contact of frames in one call, as fingerflow/graphs/contact.py has it: the gains (batch) of the light from blocks of `block`
-// px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it spans with
-// `radius` on cells of `side` px. Each as its own function here has it.
+// Contact of frames in one call, as fingerflow/graphs/contact.py has it: the gains (batch) of the light from blocks of
+// `block` px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it
+// spans with `radius` on cells of `side` px. Each as its own function here has it.
 void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
                                   std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
                                   float* density_margin, float* numbers, int threads);
 
-// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact/contact_threshold.py), with gains
-// (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of `side` px, and
-// one pixel of `stride` across and down counted.
+// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact/contact_threshold.py),
+// with gains (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of
+// `side` px, and one pixel of `stride` across and down counted.
 void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size,
                                   const std::uint16_t* table, std::int64_t radius, std::int64_t side, std::int64_t stride,
                                   float* thresholds, int threads);
 
-// Light over that of the empty glass, (frame - black) / light, and where it is known (fingerflow/ops/filters/illumination.py):
-// where the light exceeds `least`, one number an image of it, and all is finite; elsewhere 1. Contiguous.
+// Light over that of the empty glass, (frame - black) / light, and where it is known
+// (fingerflow/ops/filters/illumination.py): where the light exceeds `least`, one number an image of it, and all is finite;
+// elsewhere 1. Contiguous.
 void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients,
                           unsigned char* known, int threads);
 
-// Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
-// own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
-void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                          std::int64_t frame_stride, std::int64_t row_stride, int kind, const unsigned char* mask,
-                          std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
-                          const std::uint16_t* bins, std::int64_t count, std::int64_t* counts, int threads);
-
-// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
-void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                               double* thresholds);
-
-// Masks of bytes dilated, or eroded where `of_background` is 1, by an element given by the half widths of its 2 radius +
-// 1 rows, which grow towards the middle; `dilated` is contiguous.
-void fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t batch, std::int64_t height,
-                       std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                       const std::int32_t* half_widths, std::int64_t radius, int of_background, int threads);
-
-// Masks of bytes with their holes filled (fingerflow/ops/contact/components.py), or but their largest part; results are
-// contiguous.
-void fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
-                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
-void fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch,
-                                  std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                  std::int64_t row_stride, int threads);
-
-// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/contact/apparent_contact.py has
-// them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
-// angle.
+// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
+// fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
+// (batch, 7): pixels covered, area, centre x and y, semi axes, angle.
 struct fingerflow_apparent_contacts {
     const unsigned char* masks;
     float *density_margin, *numbers;
@@ -167,20 +160,10 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
                         std::int64_t side, const float* points, std::int64_t count, const float* transform,
                         unsigned char* covered);
 
-// Means of frames of a kind of pixels.h over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
+// Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
 // fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
-void fingerflow_block_means(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                            std::int64_t frame_stride, std::int64_t row_stride, int kind, std::int64_t down,
-                            std::int64_t along, std::int64_t rows, std::int64_t columns, float* blocks, float* lines,
-                            int threads);
-
-// Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
-void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
-                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
-
-// Ellipses (batch, 6) of the same moments: centre x and y, semi axes, major first, angle and area.
-void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
-                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
+void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
+                            std::int64_t columns, float* blocks, float* lines, int threads);
 
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
@@ -219,24 +202,24 @@ struct fingerflow_outliers {
 };
 void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
 
-// Corners of uint8 frames, as fingerflow/ops/tracking/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
-// a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame, or null)
-// tells where they may lie, `floors` (batch) what their response must exceed.
-void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                        std::int64_t frame_stride, std::int64_t row_stride, const unsigned char* mask,
-                        std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors,
-                        float quality, std::int64_t window, std::int64_t border, std::int64_t count,
-                        double min_distance, float* points, float* responses, int threads);
+// Corners of uint8 frames, as fingerflow/ops/tracking/corners.py has them, for a window of up to 15 px and fewer than
+// 2^32 pixels a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame,
+// or null) tells where they may lie, `floors` (batch) what their response must exceed.
+void fingerflow_corners(const fingerflow_frames* frames, const unsigned char* mask, std::int64_t masks,
+                        std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors, float quality,
+                        std::int64_t window, std::int64_t border, std::int64_t count, double min_distance, float* points,
+                        float* responses, int threads);
 
-// Points worth tracking in a frame of a kind of pixels.h, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has
-// them: up to `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than
-// `border` to the edge, and each is the strongest in a square that reaches `beside` px; squares that reach `farthest` px are the
-// largest that are compared. Responses exceed `quality` times the strongest, and `noise` times the variance of the frame's noise.
+// Points worth tracking in a frame, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has them: up to
+// `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than `border` to
+// the edge, and each is the strongest in a square that reaches `beside` px; squares that reach `farthest` px are the
+// largest that are compared. Responses exceed `quality` times the strongest, and `noise` times the variance of the frame's
+// noise.
 struct fingerflow_detection {
-    const void* frame;
+    fingerflow_frames frame;
     const unsigned char* mask;
     float *points, *responses;
-    std::int64_t height, width, row_stride, kind, mask_row_stride, border, beside, farthest, count;
+    std::int64_t mask_row_stride, border, beside, farthest, count;
     float quality, noise;
 };
 void fingerflow_detect_points(const fingerflow_detection* given, int threads);

@@ -1,4 +1,4 @@
-"""The median of every window as one straight-line program of minima and maxima, shared between neighbouring windows.
+"""Programs of minima and maxima that compute the median of every window, shared between neighbouring windows.
 
 A frame is cut into tiles of a few pixels. The windows of one tile have a core of pixels in common: it is sorted once,
 then the tile is halved again and again, and each half merges the few rows or columns that its own windows share on top
@@ -21,7 +21,7 @@ Operation = Literal["minimum", "maximum"]
 
 
 class Operand(NamedTuple):
-    """A plane read `rows` and `columns` tiles further down and right; plane -1 and -2 are the two bounds below."""
+    """Plane that is read `rows` tiles further down and `columns` further right; -1 and -2 are the bounds below."""
 
     plane: int
     rows: int
@@ -34,7 +34,7 @@ HIGHEST = Operand(-2, 0, 0)
 
 
 class Step(NamedTuple):
-    """One comparison: plane `result` = operation(`left`, `right` read from `rows`, `columns` tiles further on).
+    """Comparison: plane `result` = operation(`left`, `right` read from `rows`, `columns` tiles further on).
 
     The shift is never backwards in reading order (row first), so a plane can be kept as one flat array.
     """
@@ -53,7 +53,7 @@ class MedianProgram(NamedTuple):
 
     Plane r * columns + c < rows * columns holds pixel (r, c) of every tile; the first window of a tile
     begins at the tile's first pixel, so the frame is padded by size // 2 at the top and left. `outputs` are the medians
-    of the tile's pixels in the same order. `reach` is how many tiles down and right of a tile are read.
+    of the tile's pixels in the same order.
     """
 
     size: int
@@ -63,17 +63,19 @@ class MedianProgram(NamedTuple):
 
     @property
     def reach(self) -> tuple[int, int]:
+        """Return how many tiles down and right of a tile are read."""
         rows, columns = self.tile
         return (rows + self.size - 2) // rows, (columns + self.size - 2) // columns
 
     @property
     def operations_per_pixel(self) -> float:
+        """Return the number of minima and maxima a pixel."""
         return len(self.steps) / (self.tile[0] * self.tile[1])
 
 
 @functools.cache
 def median_program(size: int) -> MedianProgram:
-    """The shortest program among a few tilings; minima and maxima a pixel: 17 for 3 x 3, 57 for 5 x 5, 183 for 9 x 9.
+    """Return the shortest program among a few tilings: 17 operations a pixel for 3 x 3, 57 for 5 x 5, 183 for 9 x 9.
 
     Args:
         size: window side in pixels, odd and at least 3.
@@ -90,7 +92,7 @@ def median_program(size: int) -> MedianProgram:
 
 
 def tile_program(size: int, order: str) -> MedianProgram:
-    """The program of tiles that are halved along these axes: "y" has tiles of 2 x 1 px, "yyx" of 4 x 2."""
+    """Return the program of tiles that are halved along these axes: "y" has tiles of 2 x 1 px, "yyx" of 4 x 2."""
     tile = 2 ** order.count("y"), 2 ** order.count("x")
     windows = _Windows(size, tile)
     windows.halve(0, 0, *tile, windows.block(*windows.core(0, 0, *tile)), order)
@@ -100,10 +102,11 @@ def tile_program(size: int, order: str) -> MedianProgram:
 
 @functools.cache
 def join_program(size: int, first: int, second: int) -> tuple[tuple[Step, ...], tuple[Operand, ...]]:
-    """Steps and outputs that merge what is kept of two disjoint sets of pixels of one `size` x `size` window.
+    """Return steps and outputs that merge the kept elements of two disjoint sets of pixels of one window.
 
-    Both are ascending lists of the elements that can still be the window's median among `first` and `second` pixels
-    (`kept`): planes 0, 1, ... are those of the first, then those of the second. The outputs are the list of both.
+    Both are ascending lists of the elements that can still be the median of a `size` x `size` window among `first` and
+    `second` pixels (`kept`): planes 0, 1, ... are those of the first, then those of the second. The outputs are the
+    list of both.
     """
     ahead = kept(size, first)
     windows = _Windows(size, (1, ahead + kept(size, second)))
@@ -112,19 +115,19 @@ def join_program(size: int, first: int, second: int) -> tuple[tuple[Step, ...], 
 
 
 def kept(size: int, count: int) -> int:
-    """How many of `count` pixels of a `size` x `size` window can still be its median."""
+    """Return how many of `count` pixels of a `size` x `size` window can still be its median."""
     low, high = _ranks(size, count)
     return high - low + 1
 
 
 def _ranks(size: int, count: int) -> tuple[int, int]:
-    """First and last rank among `count` pixels of a window that can still be its median."""
+    """Return the first and the last rank among `count` pixels of a window that can still be its median."""
     pixels = size * size
     return max(0, pixels // 2 - (pixels - count)), min(count - 1, pixels // 2)
 
 
 class _Network:
-    """Comparisons on planes of a tile grid; the same one asked for again, anywhere on the grid, is the same plane."""
+    """Comparisons on planes of a tile grid; equal comparisons, anywhere on the grid, share a plane."""
 
     def __init__(self, rows: int, columns: int) -> None:
         self.rows, self.columns = rows, columns
@@ -151,7 +154,7 @@ class _Network:
         return Operand(plane, left.rows, left.columns)
 
     def needed(self, outputs: list[Operand]) -> set[int]:
-        """Planes that the outputs depend on, the inputs left out."""
+        """Return the planes that the outputs depend on, without the inputs."""
         comparisons = list(self.comparisons)
         found: set[int] = set()
         waiting = [output.plane for output in outputs]
@@ -179,7 +182,7 @@ class _Network:
 
 
 class _Windows:
-    """Sorted blocks of pixels, kept only as far as they can hold a window's median."""
+    """Sorted blocks of pixels, reduced to the elements that can be the median of a window."""
 
     def __init__(self, size: int, tile: tuple[int, int]) -> None:
         self.size = size
@@ -187,11 +190,11 @@ class _Windows:
         self.medians: dict[tuple[int, int], Operand] = {}
 
     def core(self, y: int, x: int, rows: int, columns: int) -> tuple[int, int, int, int]:
-        """Block (y, x, rows, columns) common to the windows that begin in the tile of that place and shape."""
+        """Return the block (y, x, rows, columns) common to the windows that begin in this tile."""
         return y + rows - 1, x + columns - 1, self.size - rows + 1, self.size - columns + 1
 
     def halve(self, y: int, x: int, rows: int, columns: int, core: list[Operand], order: str) -> None:
-        """Hand the sorted core down to the two halves of a tile, each with the block that only its windows share."""
+        """Merge the sorted core of a tile with the block that only the windows of each half share, recursively."""
         if not order:
             (self.medians[y, x],) = core
             return
@@ -213,9 +216,9 @@ class _Windows:
             self.halve(half_y, half_x, half_rows, half_columns, merged, order[1:])
 
     def block(self, y: int, x: int, rows: int, columns: int) -> list[Operand]:
-        """A rectangle in ascending order: its longer lines first, then lines merged by powers of two.
+        """Return the pixels of a rectangle in ascending order: its lines are sorted, then merged by powers of two.
 
-        Blocks are rebuilt for each tile that needs them; the network recognises what it has already.
+        Blocks are rebuilt for each tile that needs them; the network reuses equal comparisons.
         """
         if rows * columns == 1:
             return [self.network.pixel(y, x)]
@@ -228,14 +231,14 @@ class _Windows:
         return self.join(self.block(*first), first[2] * first[3], self.block(*second), second[2] * second[3])
 
     def join(self, first: list[Operand], first_count: int, second: list[Operand], second_count: int) -> list[Operand]:
-        """Merge what is kept of two disjoint sets of `first_count` and `second_count` pixels."""
+        """Return the merged kept elements of two disjoint sets of `first_count` and `second_count` pixels."""
         low, high = _ranks(self.size, first_count + second_count)
         dropped = _ranks(self.size, first_count)[0] + _ranks(self.size, second_count)[0]
         return _merge_ranks(self.network, first, second, low - dropped, high - dropped)
 
 
 def _merge_ranks(network: _Network, first: list[Operand], second: list[Operand], low: int, high: int) -> list[Operand]:
-    """Elements of rank `low` to `high` of two ascending lists, by the cheapest parity of odd-even merge."""
+    """Return the elements of rank `low` to `high` of two ascending lists, by the cheapest odd-even merge."""
     # Element i of one list has a rank between i and i + len(other) in the merged list.
     while True:
         first, second = first[: high + 1], second[: high + 1]
@@ -251,7 +254,7 @@ def _merge_ranks(network: _Network, first: list[Operand], second: list[Operand],
 
 @functools.cache
 def _cheapest_padding(first: int, second: int, low: int, high: int) -> tuple[int, int]:
-    """How many lowest bounds before each list make the pruned merge shortest."""
+    """Return how many lowest bounds before each list make the pruned merge shortest."""
 
     def cost(padding: tuple[int, int]) -> int:
         network = _Network(1, first + second)
@@ -269,7 +272,7 @@ def _padded_merge(
 
 
 def _odd_even_merge(network: _Network, first: list[Operand], second: list[Operand]) -> list[Operand]:
-    """Batcher's merge of two ascending lists of any lengths."""
+    """Return Batcher's merge of two ascending lists of any lengths."""
     if not first or not second:
         return first or second
     if len(first) == len(second) == 1:

@@ -1,4 +1,4 @@
-"""When a median program that goes down a frame row by row of tiles does each step, and where it keeps each plane.
+"""Order of the steps of a median program over rows of tiles, and the places of its planes.
 
 A program of `median_network` works on whole planes. To stay in a processor's cache the compiled kernels do one row of
 tiles at a time and keep, of every plane, only the rows that are still read. A plane's *lead* is how many rows of tiles
@@ -15,14 +15,14 @@ COMPILED_SIZES = (3, 5, 7, 9, 11)
 
 
 class Read(NamedTuple):
-    """Where an operand is found: `age` rows of tiles ago and `columns` tiles to the right of the reading step."""
+    """Place of an operand: `age` rows of tiles ago and `columns` tiles to the right of the reading step."""
 
     age: int
     columns: int
 
 
 class RowOrder:
-    """Steps of a program in the order in which a row of tiles does them, those that run ahead first."""
+    """Steps of a program in the order in which they run for a row of tiles, those that run ahead first."""
 
     def __init__(self, program: MedianProgram) -> None:
         self.program = program
@@ -40,6 +40,7 @@ class RowOrder:
         self.lines = program.tile[0] * (1 + max(self.leads[plane] for plane in self.inputs))
 
     def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
+        """Return the planes of both operands of a step, and where it reads them."""
         lead = self.leads[step.result]
         return (
             (step.left, Read(self.leads[step.left] - lead, 0)),
@@ -47,10 +48,11 @@ class RowOrder:
         )
 
     def line(self, plane: int, age: int) -> int:
-        """Which line of the frame an input is, its columns apart, counted from the first one of the row's windows."""
+        """Return the index of an input among the lines that a row of tiles reads, each line split into its columns."""
         return (self.leads[plane] - age) * len(self.inputs) + plane
 
     def _leads(self) -> dict[int, int]:
+        """Return the lead of every plane that is needed."""
         assert all((plane.rows, plane.columns) == (0, 0) for plane in self.program.outputs)
         leads = {output.plane: 0 for output in self.program.outputs}
         for step in reversed(self.program.steps):
@@ -62,7 +64,7 @@ class RowOrder:
 
 @functools.cache
 def median_table(size: int) -> tuple[int, ...]:
-    """The program of a size as numbers below 2^16, as `kernels/median_band.cpp` reads them.
+    """Return the program of a size as numbers below 2^16, as `kernels/median.cpp` reads them.
 
     A row of tiles has a list of planes: the lines of the frame, the kept rows of each kept plane from the youngest to
     the oldest, the scratch slots. A step is (kind, minimum, maximum, left, right, columns) with places in that list;
@@ -115,7 +117,7 @@ def _same_operands(order: RowOrder, first: Step, second: Step) -> bool:
 
 
 class _Slots:
-    """Scratch slots of planes that only their own row reads, free again after the last one."""
+    """Scratch slots of planes that only their own row reads, free again after the last step that reads them."""
 
     def __init__(self, order: RowOrder) -> None:
         self.order = order
@@ -130,7 +132,7 @@ class _Slots:
                 self._released.setdefault(step, []).append(plane)
 
     def take(self, number: int, plane: int) -> None:
-        """A slot for the result of a step, then whatever the step is the last to read is free.
+        """Take a slot for the result of a step, then free the slots of planes that no later step reads.
 
         In this order a step never writes what it reads.
         """

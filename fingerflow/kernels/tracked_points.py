@@ -11,21 +11,11 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels import outlier_limits
 from fingerflow.kernels.arrays import kind, rows_in_one_piece, strides_of_rows
-from fingerflow.kernels.checks import FRAME_KINDS, check_frames, check_indices, checked, mask_of
+from fingerflow.kernels.checks import FRAME_KINDS, check_frames, check_indices, checked, described, mask_of
 from fingerflow.kernels.detection_limits import LEAST_SIDE, NOISE, QUALITY
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
 from fingerflow.kernels.tracking import WIDEST_SEARCH
-
-__all__ = [
-    "DetectedPoints",
-    "NeighbourLists",
-    "OutlierFlags",
-    "detect_points",
-    "find_neighbours",
-    "find_outliers",
-    "search_and_return",
-]
 
 Array = NDArray[Any]
 
@@ -238,17 +228,12 @@ def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: flo
     count = min(count, height * width)
     beside = max(1, round(min_distance_px / 2))
     points, response = np.empty((count, 2), np.float32), np.empty(count, np.float32)
-    (_, row_stride), (_, mask_row_stride) = strides_of_rows(frame), strides_of_rows(mask)
     entry("detect_points")(
-        frame=frame,
+        **described(frame),
         mask=mask,
         points=points,
         responses=response,
-        height=height,
-        width=width,
-        row_stride=row_stride,
-        kind=FRAME_KINDS[kind(frame)],
-        mask_row_stride=mask_row_stride,
+        mask_row_stride=strides_of_rows(mask)[1],
         border=min(window // 2 + 3, (min(height, width) - 1) // 2),
         beside=beside,
         farthest=max(beside + 1, math.isqrt(height * width // count)),

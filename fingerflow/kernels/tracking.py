@@ -6,33 +6,16 @@ from typing import Generic, NamedTuple
 
 from fingerflow.kernels.arrays import Array, copied, empty, in_one_piece, kind, rows_in_one_piece, zeros
 from fingerflow.kernels.checks import (
-    FRAME_KINDS,
     check_frames,
     check_indices,
     check_like,
+    checked,
     described,
     described_mask,
-    extent,
     mask_of,
 )
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
-
-__all__ = [
-    "LARGEST_CORNER_WINDOW",
-    "CornerPlaces",
-    "FollowedPoints",
-    "FoundPairs",
-    "corners",
-    "find_pairs",
-    "find_templates",
-    "halve",
-    "mean_response",
-    "prepare_templates",
-    "sample_windows",
-    "search_windows",
-    "spline_coefficients",
-]
 
 LARGEST_CORNER_WINDOW = 15
 WIDEST_SEARCH = 1 << 15  # px, so that positions in it can be counted with 32 bits
@@ -69,8 +52,6 @@ def prepare_templates(
     numbers = empty(image, "float32", batch, count, NUMBERS)
     entry("prepare_templates")(
         **described(image),
-        height=image.shape[2],
-        width=image.shape[3],
         points=count,
         start=start,
         inverse_warp=inverse_warp,
@@ -143,9 +124,7 @@ def find_templates(
     error, status = (empty(frames, dtype, *size) for dtype in ("float32", "uint8"))
     entry("find_templates")(
         **described(frames),
-        height=frames.shape[2],
-        width=frames.shape[3],
-        batch=batch,
+        recordings=batch,
         points=count,
         steps=steps,
         window=window,
@@ -216,10 +195,8 @@ def find_pairs(
     error, numbers = empty(previous, "float32", *size), empty(previous, "float32", *size, NUMBERS)
     status = empty(previous, "uint8", *size)
     entry("find_pairs")(
-        previous=previous,
+        **described(previous),
         current=current,
-        **extent(previous),
-        kind=FRAME_KINDS[kind(previous)],
         points=count,
         start=copied(points),
         inverse_warp=inverse_warp,
@@ -259,7 +236,7 @@ def halve(frames: Array) -> Array:
     frames = _kernel_frames(frames)
     batch, _, height, width = frames.shape
     halved = empty(frames, "float32", batch, 1, height // 2, width // 2)
-    entry("halve")(frames=frames, halved=halved, **extent(frames), kind=FRAME_KINDS[kind(frames)], threads=threads())
+    entry("halve")(**described(frames), halved=halved, threads=threads())
     return halved
 
 
@@ -273,9 +250,7 @@ def mean_response(frames: Array) -> Array:
     """
     frames = _kernel_frames(frames)
     means = empty(frames, "float64", frames.shape[0])
-    entry("mean_response")(
-        frames=frames, means=means, **extent(frames), kind=FRAME_KINDS[kind(frames)], threads=threads()
-    )
+    entry("mean_response")(**described(frames), means=means, threads=threads())
     return means
 
 
@@ -288,13 +263,7 @@ def spline_coefficients(frames: Array) -> Array:
     check_frames(frames)
     frames = rows_in_one_piece(frames)
     coefficients = empty(frames, "float32", *frames.shape)
-    entry("spline_coefficients")(
-        frames=frames,
-        coefficients=coefficients,
-        **extent(frames),
-        kind=FRAME_KINDS[kind(frames)],
-        threads=threads(),
-    )
+    entry("spline_coefficients")(**described(frames), coefficients=coefficients, threads=threads())
     return coefficients
 
 
@@ -322,8 +291,6 @@ def search_windows(
     check_like("images", images, "float32", tuple(templates.shape))
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("points", points, "float32", (count, 2))
-    check_like("guess", guess, "float32", (count, 2))
     if size < 1 or size % 2 == 0 or reach < 0 or (count and min(images.shape[2:]) < 1):
         raise ValueError(f"templates {size} wide, {reach} px away, in images of {tuple(images.shape)}")
     if size + 2 * reach > WIDEST_SEARCH:
@@ -335,8 +302,8 @@ def search_windows(
         height=images.shape[2],
         width=images.shape[3],
         image_index=in_one_piece(image_index),
-        points=in_one_piece(points),
-        guess=in_one_piece(guess),
+        points=checked("points", points, "float32", (count, 2)),
+        guess=checked("guess", guess, "float32", (count, 2)),
         count=count,
         size=size,
         reach=reach,
@@ -359,19 +326,15 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     count, reach = places.shape[0], window // 2
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("places", places, "float32", (count, 2))
-    check_like("warp", warp, "float32", (count, 2, 2))
     if window < 1 or step < 1 or min(images.shape[2:]) < 4:
         raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
     images = rows_in_one_piece(images)
     found = empty(images, "float32", count, (2 * reach // step + 1) ** 2)
     entry("sample_windows")(
         **described(images),
-        height=images.shape[2],
-        width=images.shape[3],
         image_index=in_one_piece(image_index),
-        places=in_one_piece(places),
-        warp=in_one_piece(warp),
+        places=checked("places", places, "float32", (count, 2)),
+        warp=checked("warp", warp, "float32", (count, 2, 2)),
         windows=count,
         reach=reach,
         step=step,
@@ -417,8 +380,7 @@ def corners(
     mask = None if mask is None else mask_of(frames, mask)
     points, responses = empty(frames, "float32", batch, count, 2), empty(frames, "float32", batch, count)
     entry("corners")(
-        frames=frames,
-        **extent(frames),
+        **described(frames),
         **described_mask(mask),
         floors=floors,
         quality=quality,

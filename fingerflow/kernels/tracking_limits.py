@@ -1,4 +1,4 @@
-"""Statuses and limits of tracking: the one list, from which `kernels/generate_limits.py` writes what C++ reads."""
+"""Statuses and limits of tracking; `kernels/generate_limits.py` writes the header of C++ from them."""
 
 from enum import IntEnum
 
@@ -25,7 +25,7 @@ class TrackStatus(IntEnum):
 
 
 class Number(IntEnum):
-    """Places in `Templates.numbers`, what the equations need of a template besides its samples."""
+    """Indices of template statistics in `Templates.numbers`."""
 
     INVERSE_XX = 0  # of the matrix sum g g', px^2 a grey level^2
     INVERSE_XY = 1

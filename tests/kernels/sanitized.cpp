@@ -13,6 +13,7 @@
 #include "entry.h"
 #include "interface.h"
 #include "parallel.h"
+#include "pixels.h"
 
 namespace {
 
@@ -35,26 +36,25 @@ std::vector<Pixel> noise(std::int64_t count, unsigned seed) {
     return values;
 }
 
+fingerflow_frames first_of(fingerflow_frames frames) {
+    frames.batch = 1;
+    return frames;
+}
+
 void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int threads) {
     const std::int64_t count = batch * height * width, frame = height * width;
     const auto eight = noise<std::uint8_t>(count, 1);
     const auto sixteen = noise<std::uint16_t>(count, 2);
     const auto real = noise<float>(count, 3);
     const auto mask = noise<std::uint8_t>(count, 4);
-    std::vector<std::uint8_t> bytes(eight.size()), other(eight.size());
+    const fingerflow_frames of_eight{eight.data(), batch, height, width, frame, width, 0}, of_sixteen{sixteen.data(), batch, height, width, frame, width, 1},
+        of_real{real.data(), batch, height, width, frame, width, 3};
+    std::vector<std::uint8_t> bytes(eight.size());
     for (int size : {3, 5, 7, 9, 11}) {
         std::vector<std::uint16_t> wide(sixteen.size());
-        fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads);
-        fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads);
+        fingerflow_median(&of_eight, bytes.data(), size, nullptr, threads);
+        fingerflow_median(&of_sixteen, wide.data(), size, nullptr, threads);
     }
-    for (std::int64_t radius : {0, 1, 8}) {
-        std::vector<std::int32_t> rows;
-        for (std::int64_t y = -radius; y <= radius; ++y) rows.push_back(static_cast<std::int32_t>(radius - std::llabs(y)));
-        for (int inverted : {0, 1})
-            fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads);
-    }
-    fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads);
-    fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads);
     std::vector<float> numbers(static_cast<std::size_t>(7 * batch));
     for (std::int64_t side : {1, 2, 4, 8})
         for (std::int64_t radius : {4, 8, 60}) {
@@ -64,31 +64,19 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             const fingerflow_apparent_contacts regions{holds.data(), density_margin.data(), numbers.data(), batch, height, width, radius, side};
             fingerflow_apparent_contact(&regions, threads);
         }
-    std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
-    std::vector<double> ellipses(moments.size());
-    fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads);
-    fingerflow_fit_ellipse(mask.data(), ellipses.data(), batch, height, width, frame, width, threads);
-    expect(ellipses[5] == static_cast<double>(moments[0]), "area of the ellipse");
-
-    std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
-    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads);
-    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads);
-    std::int64_t total = 0;
-    for (std::int64_t bin : counts) total += bin;
-    expect(total == count, "histogram counts every pixel");
 
     const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
     for (int window : {1, 7, 15}) {
         std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));
-        fingerflow_corners(eight.data(), batch, height, width, frame, width, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads);
-        fingerflow_corners(eight.data(), batch, height, width, frame, width, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads);
+        fingerflow_corners(&of_eight, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads);
+        fingerflow_corners(&of_eight, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads);
     }
 
     const std::vector<float> limits(static_cast<std::size_t>(batch), 0.6f);
     const auto black = noise<float>(height * width, 11);
     std::vector<float> gains(limits.size());
-    for (const fingerflow_image& image : {fingerflow_image{eight.data(), batch, frame, width, 0}, fingerflow_image{real.data(), batch, frame, width, 3}}) {
-        const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1, batch, height, width};
+    for (const fingerflow_frames& image : {of_eight, of_real}) {
+        const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1};
         for (int size : {1, 3, 15}) fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads);
         std::vector<float> quotients(bytes.size());
         fingerflow_normalize(&lit, limits.data(), quotients.data(), bytes.data(), threads);
@@ -103,15 +91,13 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         const std::int64_t lines = (height - down / 2 + down - 1) / down, across = (width - along / 2 + along - 1) / along;
         std::vector<float> means(static_cast<std::size_t>(batch * lines * across)), of_lines(static_cast<std::size_t>(batch * lines));
         for (const auto& blocks : {std::pair<std::int64_t, std::int64_t>{1, 1}, {lines, across}, {(lines + 1) / 2, (across + 2) / 3}})
-            fingerflow_block_means(image.data, batch, height, width, frame, width, static_cast<int>(image.kind), down, along,
-                                   blocks.first, blocks.second, means.data(), of_lines.data(), threads);
+            fingerflow_block_means(&image, down, along, blocks.first, blocks.second, means.data(), of_lines.data(), threads);
         const auto places = noise<float>(2 * 50 * batch, 12);
         const std::vector<float> transform{0.1f * static_cast<float>(width) / 25.6f, 0, 0, 0, 0.1f * static_cast<float>(height) / 25.6f, 0};
         std::vector<std::uint8_t> inside(static_cast<std::size_t>(50 * batch));
         fingerflow_covered(cells.data(), batch, (height + 3) / 4, (width + 3) / 4, 4, places.data(), 50, transform.data(), inside.data());
     }
     if (height >= 4 && width >= 4) {
-        const fingerflow_image first{eight.data(), batch, frame, width, 0}, second{real.data(), batch, frame, width, 3};
         const std::int64_t points = 40;
         const auto place = noise<std::uint8_t>(2 * points, 5);
         std::vector<float> start, warp, deviation(points, 1.0f), found(2 * points), error(points), covariance(4 * points);
@@ -131,18 +117,24 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                 std::vector<float> places = start, ends(start.begin(), start.begin() + 2 * all), speed(2 * all, 0.5f);
                 std::vector<float> samples(3 * all * window * window), numbers(32 * all), estimate(2 * all);
                 places.resize(2 * all);
-                fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), numbers.data(), threads);
-                fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
-                fingerflow_find_pairs(eight.data(), eight.data(), batch, height, width, frame, width, 0, each, places.data(), deformation, deviation.data(), window, 1, 3, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, numbers.data(), found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
+                const fingerflow_prepared_templates prepared{of_eight, places.data(), deformation, deviation.data(), samples.data(), numbers.data(),
+                                                             each, window, 1, 0.0f};
+                fingerflow_prepare_templates(&prepared, threads);
+                const fingerflow_found_templates followed{of_real, places.data(), samples.data(), numbers.data(), nullptr, ends.data(), speed.data(),
+                                                          found.data(), error.data(), covariance.data(), status.data(), estimate.data(), batch, each, 1,
+                                                          window, 3, 0.0f, 1.0f, 0.5f};
+                fingerflow_find_templates(&followed, threads);
+                fingerflow_find_pairs(&of_eight, eight.data(), each, places.data(), deformation, deviation.data(), window, 1, 3, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, numbers.data(), found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
             }
-        for (const fingerflow_image& image : {first, second})
+        for (const fingerflow_frames& image : {of_eight, of_real})
             for (int step : {1, 3}) {
                 std::vector<float> windows(static_cast<std::size_t>(points * (8 / step + 1) * (8 / step + 1)));
-                fingerflow_sample_windows(&image, height, width, index.data(), start.data(), warp.data(), points, 4, step, windows.data(), threads);
+                const fingerflow_sampled_windows given{image, index.data(), start.data(), warp.data(), windows.data(), points, 4, step};
+                fingerflow_sample_windows(&given, threads);
             }
-        for (int reach : {0, 5})
-            fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads);
         for (std::int32_t reach : {0, 5}) {
+            const fingerflow_search one_way{real.data(), real.data(), index.data(), start.data(), start.data(), found.data(), height, width, points, 31, reach};
+            fingerflow_search_windows(&one_way, threads);
             const fingerflow_search_both_ways both{eight.data(), real.data(), index.data(), start.data(), start.data(), found.data(), status.data(),
                                                    frame, width, 0, frame, width, 3, batch, height, width, points, 15, reach, 2.0f};
             fingerflow_search_and_return(&both, threads);
@@ -155,17 +147,17 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (const std::vector<std::uint8_t>& part : {everywhere, half})
             for (std::int64_t wanted : {std::int64_t(1), std::int64_t(40), frame}) {
                 std::vector<float> points(static_cast<std::size_t>(2 * wanted)), responses(static_cast<std::size_t>(wanted));
-                const fingerflow_detection of_bytes{eight.data(), part.data(), points.data(), responses.data(), height, width, width, 0, width,
+                const fingerflow_detection of_bytes{first_of(of_eight), part.data(), points.data(), responses.data(), width,
                                                     border, 3, 21, wanted, 0.01f, 1.0f};
                 fingerflow_detect_points(&of_bytes, threads);
-                const fingerflow_detection of_floats{real.data(), part.data(), points.data(), responses.data(), height, width, width, 3, width,
+                const fingerflow_detection of_floats{first_of(of_real), part.data(), points.data(), responses.data(), width,
                                                      3, 1, 90, wanted, 0.0f, 0.0f};
                 fingerflow_detect_points(&of_floats, threads);
             }
     }
     if (height >= 3 && width >= 3) {
         std::vector<double> means(static_cast<std::size_t>(batch));
-        fingerflow_mean_response(sixteen.data(), means.data(), batch, height, width, frame, width, 1, threads);
+        fingerflow_mean_response(&of_sixteen, means.data(), threads);
     }
 }
 
@@ -313,37 +305,34 @@ void try_faults() {
 }
 
 // What Python calls: one block of memory in, a number out, whatever is thrown.
-extern "C" int enter_otsu_threshold(const void* packed);
-extern "C" int enter_dilate(const void* packed);
+extern "C" int enter_covered(const void* packed);
+extern "C" int enter_halve(const void* packed);
 
 void try_entries() {
     using namespace fingerflow;
-    const std::vector<std::int64_t> counts(256, 3);
-    double threshold = 0;
+    const std::vector<float> cells(4, 1.0f), point{0.5f, 0.5f}, transform{1, 0, 0, 0, 1, 0};
+    unsigned char covered = 0;
     struct {
-        const std::int64_t* counts;
-        std::int64_t batch;
-        double low, high;
-        double* thresholds;
-    } const given{counts.data(), 1, -1, 255, &threshold};
-    expect(enter_otsu_threshold(&given) == kDone && threshold == 127, "an entry");
+        const float* density_margin;
+        std::int64_t batch, down, across, side;
+        const float* points;
+        std::int64_t count;
+        const float* transform;
+        unsigned char* covered;
+    } const given{cells.data(), 1, 2, 2, 1, point.data(), 1, transform.data(), &covered};
+    expect(enter_covered(&given) == kDone && covered == 1, "an entry");
 
-    const std::vector<unsigned char> mask(9, 1);
-    std::vector<unsigned char> dilated(9);
-    const std::int32_t half_width = 0;
+    const std::vector<unsigned char> image(16, 7);
+    std::vector<float> halved(4);
     struct {
-        const void* masks;
-        unsigned char* dilated;
-        std::int64_t batch, height, width, frame_stride, row_stride;
-        const std::int32_t* half_widths;
-        std::int64_t radius;
-        alignas(8) int of_background;
+        fingerflow_frames frames;
+        float* halved;
         alignas(8) int threads;
-    } const element{mask.data(), dilated.data(), 1, 3, 3, 9, 3, &half_width, 0, 0, 2};
-    expect(enter_dilate(&element) == kDone && dilated == mask, "an entry with a pool");
+    } const whole{{image.data(), 1, 4, 4, 16, 4, kUint8}, halved.data(), 2};
+    expect(enter_halve(&whole) == kDone && halved == std::vector<float>(4, 7.0f), "an entry with a pool");
     for (const Fault fault : {Fault::kNoMemory, Fault::kError, Fault::kUnknown}) {
         inject_fault(fault, -1, Thread::kAny);
-        const int outcome = enter_dilate(&element);
+        const int outcome = enter_halve(&whole);
         inject_fault(Fault::kNone, 0, Thread::kAny);
         expect(outcome == (fault == Fault::kNoMemory ? kNoMemory : kFailed), "the outcome tells what was thrown");
         expect(fault != Fault::kError || std::strcmp(last_message(), "a fault injected by a test") == 0, "and the message");

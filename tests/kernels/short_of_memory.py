@@ -73,12 +73,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         of_flow
         | own
         | {
-            "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
-            "fill_holes": lambda: kernels.fill_holes(mask),
-            "largest_component": lambda: kernels.largest_component(mask),
             "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
-            "mask_moments": lambda: kernels.mask_moments(mask),
-            "fit_ellipse": lambda: kernels.fit_ellipse(mask),
             "real_contact_mask": lambda: kernels.real_contact_mask(
                 tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
             ),

@@ -8,8 +8,6 @@ from kernel_images import SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact.apparent_contact import ApparentRegion, apparent_contact
-from fingerflow.ops.contact.components import fill_holes, largest_component
-from fingerflow.ops.contact.ellipse import fit_ellipse, mask_moments
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -51,29 +49,6 @@ def test_contacts(portable: Portable, instruction_set: int) -> None:
         same(apparent_contact(mask, radius, cell), portable(lambda r=radius, c=cell: apparent_contact(mask, r, c)))
 
 
-@pytest.mark.parametrize("op", [fill_holes, largest_component, mask_moments])
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.5, 0.6, 0.97, 1.0])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_parts_and_moments(
-    portable: Portable, shape: tuple[int, int, int], share: float, op: Callable[[torch.Tensor], torch.Tensor]
-) -> None:
-    for mask in (blobs(shape, share), images(shape, torch.uint8, "random", highest=249) < 250 * share):
-        assert torch.equal(op(mask), portable(lambda m=mask: op(m)))
-
-
-def test_moments_on_each_instruction_set(portable: Portable, instruction_set: int) -> None:
-    mask = images((3, 70, 131), torch.uint8, "random") < 90
-    assert torch.equal(mask_moments(mask), portable(lambda: mask_moments(mask)))
-
-
-@pytest.mark.parametrize("shape", [(0, 5, 6), (1, 1, 1), (2, 130, 1), (5, 37, 41), (2, 33, 800)])
-def test_ellipses(portable: Portable, shape: tuple[int, int, int]) -> None:
-    for mask in (blobs(shape, 0.4), blobs(shape, 1.0), blobs(shape, 0.0)):
-        for ours, theirs in zip(fit_ellipse(mask), portable(lambda m=mask: fit_ellipse(m)), strict=True):
-            assert ours.shape == theirs.shape
-            torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-9, equal_nan=True)
-
-
 def test_views_and_threads(portable: Portable) -> None:
     """One frame in bands of rows, and a frame a thread."""
     masks = blobs((5, 300, 220), 0.5)
@@ -83,8 +58,6 @@ def test_views_and_threads(portable: Portable) -> None:
             torch.set_num_threads(threads)
             for view in (masks, masks[1:2, ..., 3:], masks[::3, :, 7:290, 5:201], masks[..., ::2]):
                 same(apparent_contact(view, 6), portable(lambda view=view: apparent_contact(view, 6)))
-                for op in (fill_holes, largest_component, mask_moments):
-                    assert torch.equal(op(view), portable(lambda op=op, view=view: op(view)))
     finally:
         torch.set_num_threads(before)
 
@@ -95,7 +68,3 @@ def test_refuses_what_does_not_fit() -> None:
         kernels.apparent_contact(mask, 8, 3)
     with pytest.raises(TypeError, match="uint8"):
         kernels.apparent_contact(mask.byte(), 8, 4)
-    with pytest.raises(TypeError, match="uint8"):
-        kernels.fill_holes(mask.byte())
-    with pytest.raises(ValueError, match="65536 px wide"):
-        kernels.mask_moments(torch.zeros(1, 1, 1, 65536, dtype=torch.bool))

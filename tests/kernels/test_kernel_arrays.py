@@ -14,17 +14,16 @@ from torch import Tensor
 
 from fingerflow.kernels import arrays, contact, fields, flow, library, skin, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tensors import typed
 from tests.kernels.short_of_memory import calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 SUBJECTS = (contact, fields, flow, skin, tracking)
 FUNCTIONS = {
-    name: getattr(subject, name)
+    name: value
     for subject in SUBJECTS
-    for name in subject.__all__
-    if name in typed.__all__ and callable(getattr(subject, name)) and name != "level_shapes"
+    for name, value in vars(subject).items()
+    if hasattr(kernels, name) and getattr(value, "__module__", "") == subject.__name__ and name != "level_shapes"
 }
 FRAME = np.random.default_rng(0).integers(0, 256, (2, 1, 40, 60), dtype=np.uint8)
 POINTS = np.array([[[20.25, 18.5], [33.0, 21.75]], [[15.5, 25.0], [np.nan, 4.0]]], np.float32)

@@ -50,13 +50,7 @@ def calls() -> dict[str, Callable[[], object]]:
         "contact_threshold": lambda: arrays_of(
             [contact_frames.contact_threshold(*lit[:3], stride_px=1, **sizes)],
         ),
-        "histogram": lambda: kernels.histogram(FRAMES, None, None, 256),
-        "dilate": lambda: kernels.dilate(MASK, [0, 1, 0], False),
-        "fill_holes": lambda: kernels.fill_holes(MASK),
-        "largest_component": lambda: kernels.largest_component(MASK),
         "apparent_contact": lambda: kernels.apparent_contact(MASK, 8, 4),
-        "mask_moments": lambda: kernels.mask_moments(MASK),
-        "fit_ellipse": lambda: kernels.fit_ellipse(MASK),
         "mean_response": lambda: kernels.mean_response(FRAMES),
         "halve": lambda: kernels.halve(FRAMES),
         "corners": lambda: kernels.corners(
@@ -175,10 +169,11 @@ def test_a_search_wider_than_its_numbers_is_refused() -> None:
 
 
 def test_arguments_go_by_the_names_of_the_header() -> None:
-    with pytest.raises(TypeError, match=r"kernel otsu_threshold .*'thresholds'"):
-        entry("otsu_threshold")(counts=None)
-    with pytest.raises(KeyError, match="thresholds"):
-        entry("otsu_threshold")(counts=None, batch=0, low=0.0, high=1.0, threshold=None)
+    with pytest.raises(TypeError, match=r"kernel covered .*'transform'"):
+        entry("covered")(points=None)
+    names = ("density_margin", "batch", "down", "across", "side", "points", "count", "transforms", "covered")
+    with pytest.raises(KeyError, match="transform"):
+        entry("covered")(**dict.fromkeys(names, 0))
 
 
 def test_every_declaration_is_in_the_library() -> None:

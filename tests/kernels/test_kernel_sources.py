@@ -55,7 +55,7 @@ def kernel_sources(folder: Path) -> tuple[list[Path], list[Path]]:
     """Those that are compiled once a set of instructions, and the others with the generated ones and the program."""
     for path in (ROOT / "kernels").glob("generate_*.py"):
         generator = runpy.run_path(str(path))
-        generator["main"](str(folder / generator["GENERATES"]))
+        (folder / generator["GENERATES"]).write_text(generator["source"](), encoding="utf-8")
     sources = sorted((ROOT / "kernels").glob("*.cpp"))
     hot = [one for one in sources if "FINGERFLOW_ISA" in one.read_text(encoding="utf-8")]
     return hot, [*(one for one in sources if one not in hot), folder / "entries.cpp", HERE / "sanitized.cpp"]

@@ -1,13 +1,60 @@
 """Compiled counterparts of some ops: whether they can be used, and one torch op for each function of kernels.
 
 They take plain tensors on the CPU, outside tracing, export and autograd. Their results equal those of the portable op
-bit for bit, or to rounding where a docstring says so. While torch compiles they are registered ops.
-`FINGERFLOW_KERNELS=0` in the environment turns them off. If they were not built, for lack of a C++ compiler at install
-time, the portable ops are used and a log message of level INFO reports it once.
+bit for bit, or to rounding where a docstring says so. While torch compiles they are registered ops,
+`torch.ops.fingerflow.<name>`. `FINGERFLOW_KERNELS=0` in the environment turns them off. If they were not built, for
+lack of a C++ compiler at install time, the portable ops are used and a log message of level INFO reports it once.
 """
 
+from collections.abc import Iterable
+
+import torch
+
+from fingerflow.kernels import checks, contact, deformation, fields, flow, skin, tracking
 from fingerflow.kernels.library import inject_fault as inject_fault
 from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
 from fingerflow.kernels.tensors.serving import constant_to_compiler as constant_to_compiler
 from fingerflow.kernels.tensors.serving import serve as serve
-from fingerflow.kernels.tensors.typed import *  # noqa: F403  exports the names of its `__all__`
+from fingerflow.kernels.tensors.torch_op import torch_op
+
+
+def _dtypes(kinds: Iterable[str]) -> tuple[torch.dtype, ...]:
+    return tuple(getattr(torch, kind) for kind in kinds)
+
+
+FRAME_KINDS = _dtypes(checks.FRAME_KINDS)
+CELLS = contact.CELLS
+LARGEST_MAJORITY = contact.LARGEST_MAJORITY
+LARGEST_MEDIAN = contact.LARGEST_MEDIAN
+MEDIAN_DTYPES = _dtypes(contact.MEDIAN_KINDS)
+apparent_contact = torch_op()(contact.apparent_contact)
+light_gain = torch_op()(contact.light_gain)
+median = torch_op()(contact.median)
+normalize = torch_op()(contact.normalize)
+real_contact_mask = torch_op()(contact.real_contact_mask)
+correct_points = torch_op()(deformation.correct_points)
+area_medians = torch_op()(fields.area_medians)
+local_gradients = torch_op()(fields.local_gradients)
+triangle_strain = torch_op()(fields.triangle_strain)
+flow_at_pixels = torch_op()(flow.flow_at_pixels)
+flow_covariance = torch_op()(flow.flow_covariance)
+flow_descend = torch_op()(flow.flow_descend)
+flow_integrate = torch_op()(flow.flow_integrate)
+flow_left = torch_op()(flow.flow_left)
+flow_levels = torch_op()(flow.flow_levels)
+flow_template = torch_op()(flow.flow_template)
+flow_to_cells = torch_op()(flow.flow_to_cells)
+flow_to_pixels = torch_op()(flow.flow_to_pixels)
+flow_warp = torch_op()(flow.flow_warp)
+level_shapes = flow.level_shapes
+press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
+LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW
+corners = torch_op()(tracking.corners)
+find_pairs = torch_op()(tracking.find_pairs)
+find_templates = torch_op()(tracking.find_templates)
+halve = torch_op()(tracking.halve)
+mean_response = torch_op()(tracking.mean_response)
+prepare_templates = torch_op()(tracking.prepare_templates)
+sample_windows = torch_op()(tracking.sample_windows)
+search_windows = torch_op()(tracking.search_windows)
+spline_coefficients = torch_op()(tracking.spline_coefficients)

@@ -11,8 +11,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
-
 
 def fill_holes(mask: Tensor) -> Tensor:
     """Fill the holes of masks: background that no 4-connected path joins to the border of the frame.
@@ -30,8 +28,6 @@ def fill_holes(mask: Tensor) -> Tensor:
     _check(mask)
     if mask.numel() == 0:
         return mask.clone()
-    if kernels.serve(mask):
-        return kernels.fill_holes(mask)
     height, width = mask.shape[-2:]
     runs = _find_runs(~mask)
     part = _connected_part(runs, mask.shape, diagonal=False)
@@ -58,8 +54,6 @@ def largest_component(mask: Tensor) -> Tensor:
     _check(mask)
     if mask.numel() == 0:
         return mask.clone()
-    if kernels.serve(mask):
-        return kernels.largest_component(mask)
     runs = _find_runs(mask)
     part = _connected_part(runs, mask.shape, diagonal=True)
     count = len(part)

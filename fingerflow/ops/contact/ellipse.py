@@ -5,8 +5,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
-
 
 class FittedEllipse(NamedTuple):
     """Ellipses of B masks, float64.
@@ -42,9 +40,6 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
         ValueError: `mask` is not (B, 1, H, W).
     """
     _check(mask)
-    if _compiled(mask):
-        numbers = kernels.fit_ellipse(mask)
-        return FittedEllipse(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5])
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area
@@ -75,8 +70,6 @@ def mask_moments(mask: Tensor) -> Tensor:
         ValueError: `mask` is not (B, 1, H, W).
     """
     _check(mask)
-    if _compiled(mask):
-        return kernels.mask_moments(mask)
     filled = mask[:, 0]
     y, x = (torch.arange(length, device=mask.device) for length in filled.shape[1:])
     columns, rows = filled.sum(1), filled.sum(2)
@@ -90,7 +83,3 @@ def _check(mask: Tensor) -> None:
         raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
     if mask.ndim != 4 or mask.shape[1] != 1:
         raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
-
-
-def _compiled(mask: Tensor) -> bool:
-    return mask.shape[3] <= kernels.WIDEST_MOMENTS and kernels.serve(mask)

@@ -6,8 +6,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
-
 Shape = Literal["disc", "diamond"]
 
 
@@ -31,8 +29,6 @@ def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
         ValueError: `mask` is not (B, 1, H, W), `radius` is negative, or `shape` is unknown.
     """
     half_widths = _half_widths(mask, radius, shape)
-    if kernels.serve(mask):
-        return kernels.dilate(mask, half_widths, of_background=False)
     height = mask.shape[-2]
     padded = functional.pad(mask, (0, 0, radius, radius))
     widened, width = padded, 0
@@ -53,9 +49,6 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
     Args, returns, raises: as `dilate`.
     """
-    half_widths = _half_widths(mask, radius, shape)
-    if kernels.serve(mask):
-        return kernels.dilate(mask, half_widths, of_background=True)
     return ~dilate(~mask, radius, shape)
 
 

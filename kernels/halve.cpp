@@ -1,10 +1,13 @@
 // build: each instruction set
-// Means of 2 x 2 pixels, for the search in half resolution: ((a + c) + (b + d)) / 4 of the upper pixels a, b and the
-// lower ones c, d. The order of the sums is that of the portable op: results agree bit for bit.
-// Layout: one halved pixel a lane; results (height / 2, width / 2), contiguous.
-#include "halve_rows.h"
-
+// Means of 2 x 2 pixels, for the search in half resolution, in pieces of 32 rows that threads share: ((a + c) + (b + d)) /
+// 4 of the upper pixels a, b and the lower ones c, d. The order of the sums is that of the portable op: results agree bit
+// for bit.
+// Layout: one halved pixel a lane; results (batch, height / 2, width / 2), contiguous.
+#include "instruction_sets.h"
+#include "interface.h"
 #include "lanes.h"
+#include "parallel.h"
+#include "pixels.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -27,6 +30,7 @@ void halve(const Pixel* frame, const Frames& frames, std::int64_t top, std::int6
 
 }  // namespace
 
+// Writes rows `top` to before `bottom` of `halved`, which is contiguous and width / 2 wide.
 void halve_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, float* halved) {
     const auto rows = [&](const auto* data) { halve(data + frame * frames.frame_stride, frames, top, bottom, halved); };
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, rows)
@@ -34,3 +38,19 @@ void halve_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std:
 
 }  // namespace FINGERFLOW_ISA
 }  // namespace fingerflow
+
+#if FINGERFLOW_ONCE
+
+namespace fingerflow {
+FINGERFLOW_OTHER_SETS(halve_rows)
+}  // namespace fingerflow
+
+void fingerflow_halve(const fingerflow_frames* frames, float* halved, int threads) {
+    using namespace fingerflow;
+    const std::int64_t height = frames->height / 2, width = frames->width / 2;
+    for_bands(frames->batch, height, 32, threads, [&](std::int64_t frame, std::int64_t top, std::int64_t bottom) {
+        FINGERFLOW_PICK(halve_rows)(*frames, frame, top, bottom, halved + frame * height * width);
+    });
+}
+
+#endif
