@@ -1,12 +1,13 @@
-"""Image operations on one 8-bit frame of 512 x 640 px of a simulated press, beside OpenCV and other libraries.
+"""Image operations on one frame of 512 x 640 px of a simulated press, beside OpenCV, SciPy, scikit-image and kornia.
 
-Peers of the median are OpenCV, SciPy, scikit-image and kornia; those of the others OpenCV alone. `time_to_peer` is over
-OpenCV. `same` is the share that agrees with fingerflow: of the pixels at least 4 px inside the frame, or of
-fingerflow's corners. The contact path goes from a frame and the empty glass to the pixels in contact: illumination
-quotient, one byte a pixel, median 9 x 9, Otsu's threshold within the lit disc, count; OpenCV's has the lit disc and the
-reference prepared beforehand. Corners are 700 at most (100 with --quick) and 7 px apart; goodFeaturesToTrack treats the
-border of the frame differently and knows no noise. Where fingerflow's compiled kernels were built they serve (the JSON
-record says so), with the same threads; `FINGERFLOW_KERNELS=0` measures the portable ops.
+`time_to_peer` is over the first way of each operation: OpenCV's, or SciPy's where OpenCV has none (its median of 16-bit
+frames ends at 5 x 5). `same` is the share that agrees with fingerflow: of the pixels at least 4 px inside the frame, of
+the pixels that a threshold splits alike, or of fingerflow's corners. 16-bit frames hold 12 bits. The contact path goes
+from an 8-bit frame and the empty glass to the pixels in contact: illumination quotient, one byte a pixel, median 9 x 9,
+Otsu's threshold within the lit disc, count; OpenCV's has the lit disc and the reference prepared beforehand. Corners
+are 700 at most (100 with --quick) and 7 px apart; goodFeaturesToTrack treats the border of the frame differently and
+knows no noise. Where fingerflow's compiled kernels were built they serve (the JSON record says so), with the same
+threads; `FINGERFLOW_KERNELS=0` measures the portable ops.
 """
 
 from collections.abc import Callable
@@ -25,16 +26,17 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow.graphs import ContactGraph, LightGraph
+from fingerflow.ops.contact.otsu import otsu_threshold
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.tracking.corners import detect_corners
-from fingerflow.synthetic import Press
+from fingerflow.synthetic import Camera, Press
 
-OURS, PEER = "fingerflow", "opencv"
+OURS = "fingerflow"
 BORDER = 4  # px that libraries pad in their own way: half of the largest median window
 
 
 class Operation(NamedTuple):
-    """Alternative calls with the same result: all give (H, W) images, or all (N, 2) corners."""
+    """Alternative calls with the same result, the peer first: all give (H, W) images, or all (N, 2) corners."""
 
     name: str
     ways: dict[str, Callable[[], Tensor]]
@@ -43,19 +45,19 @@ class Operation(NamedTuple):
 def run(quick: bool) -> list[Row]:
     """Return a row per operation and way."""
     part = (slice(192, 320), slice(240, 400)) if quick else (slice(None), slice(None))
-    press = Press()
-    frame = _view(press, "contact", press.render(299), part)
-    empty = _view(press, "contact", press.empty(), part)
-    skin = _view(press, "topography", press.render(299), part)
+    eight, twelve = (Press(camera=Camera(bit_depth=bits)) for bits in (8, 12))
+    frame, wide = (_view(scene, "contact", scene.render(299), part) for scene in (eight, twelve))
+    empty = _view(eight, "contact", eight.empty(), part)
+    skin = _view(eight, "topography", eight.render(299), part)
     operations = [
-        _median(frame, 5),
-        _median(frame, 9),
+        *(_median(image, size) for image in (frame, wide) for size in (5, 9)),
+        _otsu(frame),
         _contact(frame, empty),
         _corners(skin, 100 if quick else 700),
     ]
     rows: list[Row] = []
     for operation in operations:
-        times = time_in_turns(operation.ways, PEER, rounds=2 if quick else 9)
+        times = time_in_turns(operation.ways, next(iter(operation.ways)), rounds=2 if quick else 9)
         ours = operation.ways[OURS]()
         for name, way in operation.ways.items():
             same = None if name == OURS else _agreement(ours, way())
@@ -83,14 +85,35 @@ def _median(frame: Tensor, size: int) -> Operation:
         median = kornia.filters.median_blur(frame.float(), size, border_type="replicate")
         return median[0, 0].to(frame.dtype)
 
-    ways = {
-        PEER: lambda: torch.from_numpy(cv2.medianBlur(pixels, size)),
+    ways: dict[str, Callable[[], Tensor]] = {
+        "opencv": lambda: torch.from_numpy(cv2.medianBlur(pixels, size)),
         "scipy": lambda: torch.from_numpy(scipy.ndimage.median_filter(pixels, size, mode="nearest")),
         "scikit-image": lambda: torch.from_numpy(skimage.filters.rank.median(pixels, square)),
         "kornia": with_kornia,
         OURS: lambda: median_filter(frame, size)[0, 0],
     }
-    return Operation(f"median {size} x {size}, 8 bit", ways)
+    if frame.dtype == torch.uint16:
+        del ways["scikit-image"]  # it warns itself that it is not made for so many levels
+        if size > 5:
+            del ways["opencv"]
+    return Operation(f"median {size} x {size}, {8 * frame.element_size()} bit", ways)
+
+
+def _otsu(frame: Tensor) -> Operation:
+    pixels = frame[0, 0].numpy()
+
+    def with_opencv() -> Tensor:
+        return torch.from_numpy(cv2.threshold(pixels, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1]) > 0
+
+    return Operation(
+        "Otsu's threshold, 8 bit",
+        {
+            "opencv": with_opencv,
+            "scikit-image": lambda: torch.from_numpy(pixels > skimage.filters.threshold_otsu(pixels)),
+            "kornia": lambda: frame[0, 0] > kornia.filters.otsu_threshold(frame)[1],
+            OURS: lambda: (frame > otsu_threshold(frame)[:, None, None, None])[0, 0],
+        },
+    )
 
 
 def _contact(frame: Tensor, empty: Tensor) -> Operation:
@@ -102,7 +125,7 @@ def _contact(frame: Tensor, empty: Tensor) -> Operation:
         result: Tensor = graph(frame, light, black, limit).real_contact_mask[0, 0]
         return result
 
-    return Operation("contact path, 8 bit", {PEER: opencv_contact(frame, empty, 9), OURS: with_fingerflow})
+    return Operation("contact path, 8 bit", {"opencv": opencv_contact(frame, empty, 9), OURS: with_fingerflow})
 
 
 def _corners(skin: Tensor, count: int) -> Operation:
@@ -115,4 +138,4 @@ def _corners(skin: Tensor, count: int) -> Operation:
         corners = detect_corners(skin, count, 7.0, quality=0.01, window=7)
         return corners.points[0, corners.valid[0]]
 
-    return Operation(f"{count} corners, 8 bit", {PEER: with_opencv, OURS: with_fingerflow})
+    return Operation(f"{count} corners, 8 bit", {"opencv": with_opencv, OURS: with_fingerflow})

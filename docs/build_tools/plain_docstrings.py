@@ -20,7 +20,7 @@ def _escaped(line: str) -> str:
 
 
 def _with_heading(lines: list[str]) -> list[str]:
-    """Return the lines with "Args:" inserted over arguments that are listed without it."""
+    """The same, with "Args:" over arguments that are listed without it."""
     result: list[str] = []
     inside = False
     for number, line in enumerate(lines):

@@ -203,12 +203,12 @@ def test_pairs_for_the_dic_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_image_ops() -> None:
-    """Medians are the same pixels everywhere; corners but for those at the border, and contact but for a few: a limit
-    in counts rounds elsewhere than levels of a byte."""
+    """Medians and thresholds are the same pixels everywhere; corners but for those at the border, and contact but for a
+    few: a limit in counts rounds elsewhere than levels of a byte."""
     rows = image_ops.run(quick=True)
     same = {(row["operation"], row["way"]): row["same"] for row in rows if row["way"] != "fingerflow"}
     corners = {key: value for key, value in same.items() if "corners" in str(key[0])}
-    assert len(same) == 4 + 4 + 1 + 1
+    assert len(same) == 4 + 4 + 3 + 2 + 3 + 1 + 1
     assert all(number({"same": value}, "same") > 0.8 for value in corners.values())
     contact = {key: value for key, value in same.items() if "contact" in str(key[0])}
     assert all(number({"same": value}, "same") > 0.998 for value in contact.values())
