@@ -70,7 +70,6 @@ def calls() -> dict[str, Callable[[], Any]]:
         ),
         "flow_to_cells": lambda: kernels.flow_to_cells(moving, torch.ones_like(moving[:, :1])),
         "flow_to_pixels": lambda: kernels.flow_to_pixels(cells.repeat(1, 2, 1, 1), cells, *one.shape[2:]),
-        "flow_warp": lambda: kernels.flow_warp(one.float(), moving),
     }
     own: dict[str, Callable[[], Any]] = {
         name: lambda case=case: case.call(*case.inputs) for name, case in CASES.items()

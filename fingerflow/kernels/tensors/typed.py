@@ -34,7 +34,6 @@ __all__ = [
     "flow_template",
     "flow_to_cells",
     "flow_to_pixels",
-    "flow_warp",
     "halve",
     "histogram",
     "largest_component",
@@ -93,7 +92,6 @@ flow_levels = torch_op()(flow.flow_levels)
 flow_template = torch_op()(flow.flow_template)
 flow_to_cells = torch_op()(flow.flow_to_cells)
 flow_to_pixels = torch_op()(flow.flow_to_pixels)
-flow_warp = torch_op()(flow.flow_warp)
 level_shapes = flow.level_shapes
 press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
 press_skin_back = torch_op()(skin.press_skin_back)

@@ -405,8 +405,6 @@ def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor,
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     """Return the spline (B, 1, H, W) at the displaced pixels; beyond the border its coefficients are replicated."""
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow):
-        return kernels.flow_warp(coefficients, flow)
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
     (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
