@@ -235,24 +235,14 @@ void flow_left_row(const FlowPicture& picture, const float* warped, const float*
         const std::int64_t at = (2 * y + row) * width;
         const float *FINGERFLOW_RESTRICT value = picture.value + at, *FINGERFLOW_RESTRICT of = warped + at, *FINGERFLOW_RESTRICT s = seen + at;
         const float *FINGERFLOW_RESTRICT slope_x = picture.slope_x + at, *FINGERFLOW_RESTRICT slope_y = picture.slope_y + at;
-        if (row == 0) {
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float left = s[x] * (of[x] - offset - gain * value[x]);
-                by_x[x] = slope_x[x] * left;
-                by_y[x] = slope_y[x] * left;
-                squares[x] = left * left;
-                count[x] = s[x];
-            }
-        } else {
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float left = s[x] * (of[x] - offset - gain * value[x]);
-                by_x[x] += slope_x[x] * left;
-                by_y[x] += slope_y[x] * left;
-                squares[x] += left * left;
-                count[x] += s[x];
-            }
+        const bool second = row == 1;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float left = s[x] * (of[x] - offset - gain * value[x]);
+            by_x[x] = (second ? by_x[x] : 0.0f) + slope_x[x] * left;
+            by_y[x] = (second ? by_y[x] : 0.0f) + slope_y[x] * left;
+            squares[x] = (second ? squares[x] : 0.0f) + left * left;
+            count[x] = (second ? count[x] : 0.0f) + s[x];
         }
     }
     for (int k = 0; k < 4; ++k) halve(memory + k * width, width, to[k]);
@@ -470,25 +460,14 @@ void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width,
     const float none = static_cast<float>(NAN);
     const float* FINGERFLOW_RESTRICT w = inside + y * width;
     const float *u = rows[0], *v = rows[1];
-    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement, which decides what is lost, last
-        float* to = rows[channel];
-        if (channel >= 2) {
-            float* FINGERFLOW_RESTRICT other = to;
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float to_x = static_cast<float>(static_cast<int>(x)) + u[x], to_y = down + v[x];
-                const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
-                other[x] = kept ? other[x] : none;
-            }
+    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement last: NaN in v loses u too
+        float* const to = rows[channel];
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float to_x = static_cast<float>(static_cast<int>(x)) + u[x], to_y = down + v[x];
+            const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
+            to[x] = kept ? to[x] : none;
         }
-    }
-    float *FINGERFLOW_RESTRICT of_u = rows[0], *FINGERFLOW_RESTRICT of_v = rows[1];
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 0; x < width; ++x) {
-        const float to_x = static_cast<float>(static_cast<int>(x)) + of_u[x], to_y = down + of_v[x];
-        const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
-        of_u[x] = kept ? of_u[x] : none;
-        of_v[x] = kept ? of_v[x] : none;
     }
 }
 

@@ -1,5 +1,5 @@
 // Course of a flow: at each cell the value of a weighted plane fit of the flow in a window around it, and the departure
-// of the flow from it (fingerflow/ops/flow/flow_descent.py). The plane of the whole field is subtracted first.
+// of the flow from it (fingerflow/ops/flow/flow_cells.py). The plane of the whole field is subtracted first.
 // Each plane follows from 12 moments: of the weight 1, x, y, xx, xy, yy; of u and v each 1, x, y.
 // Layout: moments are planes on cells of twice the size, (12, ceil(height / 2), ceil(width / 2)), averaged with the
 // window's weights along rows, then along columns; one cell a lane.

@@ -1,4 +1,4 @@
-// Dense flow: levels and V-cycles of the multigrid (fingerflow/ops/flow/flow_multigrid.py, flow_descent.py).
+// Dense flow: levels and V-cycles of the multigrid (fingerflow/ops/flow/flow_multigrid.py).
 // Solves (T + L) step = pull - L (flow - course) for the 2-vector step of each cell: T is the structure tensor, L the
 // Laplacian weighted by the edges, and the course a locally fitted plane. Damped block-Jacobi sweeps smooth each level;
 // residuals are averaged over 2 x 2 cells to the next one, and corrections interpolated back. A coarser level averages

@@ -232,17 +232,9 @@ void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const Flo
 void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved) {
     const float* FINGERFLOW_RESTRICT by = step;
     float *FINGERFLOW_RESTRICT all = sum, *FINGERFLOW_RESTRICT to = moved;
-    if (first) {
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) {
-            all[x] = by[x];
-            to[x] += by[x];
-        }
-        return;
-    }
     FINGERFLOW_INDEPENDENT
     for (std::int64_t x = 0; x < width; ++x) {
-        all[x] += by[x];
+        all[x] = (first ? 0.0f : all[x]) + by[x];
         to[x] += by[x];
     }
 }

@@ -113,7 +113,7 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Return the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_descent.descended` to rounding.
+    """Return the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended` to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.

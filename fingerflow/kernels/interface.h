@@ -278,7 +278,7 @@ struct fingerflow_triangle_strain {
 };
 void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
-// A flow led down to its fixed point, as fingerflow/ops/flow/flow_descent.py does it: levels from the finest on, their planes those
+// A flow led down to its fixed point, as fingerflow/ops/flow/flow_multigrid.py does it: levels from the finest on, their planes those
 // of all images of the batch; pull, flow and moved (batch, 2, height, width) of the finest, known (batch, height, width).
 // Weights of a window: the middle one and `half` more.
 struct fingerflow_flow_level {
