@@ -59,7 +59,7 @@ def _found(first: Tensor, current: Tensor) -> dict[str, Tensor]:
 
     peers = opencv(first[0, 0].numpy(), current[0, 0].numpy())
     return {
-        **{name: torch.from_numpy(np.moveaxis(way(), 2, 0).astype(np.float64))[None] for name, way in peers.items()},
+        **{name: way() for name, way in peers.items()},
         "fingerflow, quadratic": ours(),
         "fingerflow, charbonnier": ours(penalty="charbonnier"),
         "fingerflow, gradient, charbonnier": ours(penalty="charbonnier", constancy="gradient"),

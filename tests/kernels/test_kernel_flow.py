@@ -15,14 +15,14 @@ from fingerflow.ops.flow.flow_constancy import Constancy
 from fingerflow.ops.flow.flow_covariance import flow_covariance
 from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, pyramid
 from fingerflow.ops.flow.flow_penalty import Penalty
-from tests.ops.flow.test_dense_flow import grid, pair, wave
+from tests.ops.flow.test_dense_flow import CONSTANCIES, PENALTIES, grid, pair, wave
 
 Portable = Callable[[Callable[[], Any]], Any]
 
 
 @pytest.mark.parametrize("warm", [True, False])
-@pytest.mark.parametrize("constancy", ["brightness", "gradient"])
-@pytest.mark.parametrize("penalty", ["quadratic", "charbonnier"])
+@CONSTANCIES
+@PENALTIES
 def test_flow_where_little_is_known(
     instruction_set: int, portable: Portable, penalty: Penalty, constancy: Constancy, warm: bool
 ) -> None:

@@ -9,10 +9,10 @@ from fingerflow.ops import dense_flow
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.flow.dense_flow import _fields
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
-from tests.ops.flow.test_dense_flow import errors, grid, pair, photograph, wave
+from tests.ops.flow.test_dense_flow import CONSTANCIES, errors, grid, pair, photograph, wave
 
 
-@pytest.mark.parametrize("constancy", ["brightness", "gradient"])
+@CONSTANCIES
 def test_what_noise_leaves(constancy: Constancy) -> None:
     """The constants, from white noise of deviation 1 itself: 360,000 px give its variance to 0.5 %."""
     noise = torch.randn(1, 1, 600, 600, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
