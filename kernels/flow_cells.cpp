@@ -123,20 +123,6 @@ void fingerflow_flow_integrate(const float* fields, const float* weights, std::i
         flow_window(fields + field * area, {weights, half}, height, width, between, integrated + field * area, threads);
 }
 
-void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch, std::int64_t height,
-                              std::int64_t width, int threads) {
-    using namespace fingerflow;
-    const std::int64_t area = height * width, rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
-    for (std::int64_t image = 0; image < batch; ++image) {
-        const float* const planes[2] = {fields + 2 * area * image, fields + 2 * area * image + area};
-        float* const to = means + 2 * cells * image;
-        for_rows(rows, 4 * columns, 3 * width + columns, threads, [&](std::int64_t y, float* memory) {
-            float* const both[2] = {to + y * columns, to + cells + y * columns};
-            FINGERFLOW_PICK(flow_mean_row)(planes, inside + area * image, height, width, y, both, memory);
-        });
-    }
-}
-
 void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch, std::int64_t height,
                                std::int64_t width, int threads) {
     using namespace fingerflow;

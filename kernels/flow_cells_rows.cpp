@@ -428,33 +428,6 @@ void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* t
     }
 }
 
-void flow_mean_row(const float* const* planes, const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* to,
-                   float* memory) {
-    const std::int64_t rows = 2 * y + 1 < height ? 2 : 1, count = (width + 1) / 2;
-    float *FINGERFLOW_RESTRICT u = memory, *FINGERFLOW_RESTRICT v = memory + width, *FINGERFLOW_RESTRICT share = memory + 2 * width;
-    float* FINGERFLOW_RESTRICT mean_share = memory + 3 * width;
-    const float endless = static_cast<float>(HUGE_VAL);
-    for (std::int64_t row = 0; row < rows; ++row) {
-        const std::int64_t at_row = (2 * y + row) * width;
-        const float *FINGERFLOW_RESTRICT a = planes[0] + at_row, *FINGERFLOW_RESTRICT b = planes[1] + at_row, *FINGERFLOW_RESTRICT w = inside + at_row;
-        const bool second = row == 1;
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) {
-            const float on_u = fabsf(a[x]) < endless ? w[x] * a[x] : 0.0f, on_v = fabsf(b[x]) < endless ? w[x] * b[x] : 0.0f;
-            u[x] = second ? u[x] + on_u : on_u;
-            v[x] = second ? v[x] + on_v : on_v;
-            share[x] = second ? share[x] + w[x] : w[x];
-        }
-    }
-    halve(share, width, mean_share);
-    for (int k = 0; k < 2; ++k) {
-        float* FINGERFLOW_RESTRICT mean = to[k];
-        halve(memory + k * width, width, mean);
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < count; ++x) mean[x] = mean[x] / (mean_share[x] > 0 ? mean_share[x] : 1.0f);
-    }
-}
-
 void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels) {
     const float most_x = static_cast<float>(width - 1), most_y = static_cast<float>(height - 1), down = static_cast<float>(y);
     const float none = static_cast<float>(NAN);

@@ -72,8 +72,6 @@ FINGERFLOW_FOR_EACH_SET(
     // Writes row y of the cells: means of products of slopes, 1 where any pixel lies inside, edges to the next cell of
     // the row and, unless null, of the column. `memory`: 3 rows.
     void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* tensor, float* known, float* right, float* down, float* memory);
-    // Writes row y of the means over each cell's finite pixels inside the mask.
-    void flow_mean_row(const float* const* planes, const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* to, float* memory);
     // Writes NaN in `channels` rows where a pixel lies outside the mask or has left the image.
     void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels);
     // Writes a row of covariances xx, xy, yy from tensors xx, xy, yy.

@@ -20,7 +20,6 @@ __all__ = [
     "flow_left",
     "flow_levels",
     "flow_template",
-    "flow_to_cells",
     "flow_to_pixels",
     "level_shapes",
 ]
@@ -284,22 +283,6 @@ def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
         **_window(weights),
     )
     return integrated
-
-
-def flow_to_cells(fields: Array, inside: Array) -> Array:
-    """Return means (B, 2, h, w) over cells of 2 x 2 px of fields (B, 2, H, W) inside a mask (B, 1, H, W).
-
-    Values that are not finite are left out.
-    """
-    sizes, size, cells = _sizes(inside)
-    batch = sizes["batch"]
-    [means] = _computed(
-        "flow_to_cells",
-        {"fields": (fields, (batch, 2, *size)), "inside": (inside, (batch, 1, *size))},
-        {"means": (batch, 2, *cells)},
-        **sizes,
-    )
-    return means
 
 
 def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:

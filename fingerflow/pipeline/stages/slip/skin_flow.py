@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.ops.flow.dense_flow import Flow, find_flow, prepare_flow
+from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
 
@@ -82,16 +82,15 @@ class SkinFlow:
         beside = _of_nearest(places[seen], moved[seen], self._mask.shape)
         start = self._last + self._speed
         if self._unsure:
-            given = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
-            start = torch.where(start.isfinite(), start, given)
-        found, motion = self._found(image, start, 1, beside)
+            start = torch.where(start.isfinite(), start, _planes(expected(), start))
+        motion = self._found(image, start, 1, beside)
         if motion.explained < _FEWEST:
-            start = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
-            found, motion = _better((found, motion), self._found(image, start, 2, beside))
+            start = _planes(expected(), start)
+            motion = _better(motion, self._found(image, start, 2, beside))
             if motion.explained < _FEWEST and self._picture is not None:
                 self._renew(self._picture)
-                found, motion = _better((found, motion), self._found(image, start, 2, beside))
-        here = torch.from_numpy(motion.displacement.transpose(2, 0, 1)[None]).to(found.displacement)
+                motion = _better(motion, self._found(image, start, 2, beside))
+        here = _planes(motion.displacement, start)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
         # After a jump the speed is set to 0.
         step = (here - self._last).nan_to_num(0.0)
@@ -110,7 +109,7 @@ class SkinFlow:
         self._texture = np.sqrt(np.maximum(squares - mean * mean, 0))
         self._compared = mask
 
-    def _found(self, image: Tensor, start: Tensor, warps: int, beside: Field) -> tuple[Flow, FlowMotion]:
+    def _found(self, image: Tensor, start: Tensor, warps: int, beside: Field) -> FlowMotion:
         flow = find_flow(self.template, image, start, warps)
         displacement, residual = (one[0].permute(1, 2, 0).cpu().numpy() for one in (flow.displacement, flow.residual))
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
@@ -120,9 +119,7 @@ class SkinFlow:
         believed = np.isfinite(variance) & (left < 1) & ~contradicted
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
-        return flow, FlowMotion(
-            shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained
-        )
+        return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
         """Update the reference: `picture`, whose motion is `_known`, warped back to the first picture."""
@@ -136,8 +133,13 @@ class SkinFlow:
         self.renewed, self._picture = self.renewed + 1, None
 
 
-def _better(one: tuple[Flow, FlowMotion], other: tuple[Flow, FlowMotion]) -> tuple[Flow, FlowMotion]:
-    return max(one, other, key=lambda found: found[1].explained)
+def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
+    return max(one, other, key=lambda motion: motion.explained)
+
+
+def _planes(field: Field, like: Tensor) -> Tensor:
+    """Return a field (H, W, 2) as a tensor (1, 2, H, W)."""
+    return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 
 def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
