@@ -117,10 +117,10 @@ def flow_descend(
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
     """
-    batch, _, *size = pull.shape
+    batch, _, height, width = pull.shape
     if not planes or len(planes) % len(_PLANES):
         raise ValueError(f"{len(planes)} planes: there are {len(_PLANES)} of each level")
-    shapes = level_shapes(batch, *size, len(planes) // len(_PLANES))
+    shapes = level_shapes(batch, height, width, len(planes) // len(_PLANES))
     kept = [
         checked("a level", plane, "float32", shape)
         for plane, shape in zip(planes, itertools.chain.from_iterable(shapes), strict=True)
@@ -129,11 +129,11 @@ def flow_descend(
     [moved] = _computed(
         "flow_descend",
         {
-            "pull": (pull, (batch, 2, *size)),
-            "flow": (flow, (batch, 2, *size)),
-            "known": (known, (batch, 1, *size)),
+            "pull": (pull, (batch, 2, height, width)),
+            "flow": (flow, (batch, 2, height, width)),
+            "known": (known, (batch, 1, height, width)),
         },
-        {"moved": (batch, 2, *size)},
+        {"moved": (batch, 2, height, width)},
         levels=_levels(addresses, shapes),
         count=len(shapes),
         batch=batch,
