@@ -1,5 +1,5 @@
 // Dense flow between pixels and cells of 2 x 2 px (fingerflow/ops/flow/dense_flow.py): templates (values, gradients and
-// structure tensors), residuals of a flow, and results at the pixels.
+// structure tensors), residuals of a flow, its covariance, and results at the pixels.
 // Residual of a pixel: warped - offset - gain * value, gain and offset fitted by least squares over the image.
 // Layout: planes of floats, row-major, `channels` planes an image; a cell plane has ceil(height / 2) x ceil(width / 2)
 // numbers. Threads share rows; sums are kept per row and added in order, so that they do not depend on their number.
@@ -8,7 +8,6 @@
 #include "flow_cells_rows.h"
 #include "flow_course.h"
 #include "flow_pieces.h"
-#include "flow_rows.h"
 #include "interface.h"
 
 namespace fingerflow {
@@ -98,6 +97,23 @@ void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads) {
     for (std::int64_t image = 0; image < given->batch; ++image) fingerflow::left_of(*given, image, threads);
 }
 
+void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured, float rho_square,
+                                float* covariance, std::int64_t batch, std::int64_t height, std::int64_t width, int threads) {
+    using namespace fingerflow;
+    const std::int64_t plane = height * width;
+    for (std::int64_t image = 0; image < batch; ++image) {
+        const FlowNoise noise{density[image], alpha[image], rho_square, textured[image]};
+        const float* const from = tensor + 3 * plane * image;
+        float* const to = covariance + 3 * plane * image;
+        for_rows(height, 8 * width, 1, threads, [&](std::int64_t y, float*) {
+            const std::int64_t at = y * width;
+            const float* const of[3] = {from + at, from + plane + at, from + 2 * plane + at};
+            float* const rows[3] = {to + at, to + plane + at, to + 2 * plane + at};
+            FINGERFLOW_PICK(flow_covariance_row)(of, noise, width, rows);
+        });
+    }
+}
+
 void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated, std::int64_t count,
                                std::int64_t height, std::int64_t width, int threads) {
     using namespace fingerflow;
@@ -105,20 +121,6 @@ void fingerflow_flow_integrate(const float* fields, const float* weights, std::i
     auto* const between = static_cast<float*>(workspace<Keeper::kCaller>(static_cast<std::size_t>(area) * sizeof(float)));
     for (std::int64_t field = 0; field < count; ++field)
         flow_window(fields + field * area, {weights, half}, height, width, between, integrated + field * area, threads);
-}
-
-void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch, std::int64_t height,
-                              std::int64_t width, int threads) {
-    using namespace fingerflow;
-    const std::int64_t area = height * width, rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
-    for (std::int64_t image = 0; image < batch; ++image) {
-        const float* const planes[2] = {fields + 2 * area * image, fields + 2 * area * image + area};
-        float* const to = means + 2 * cells * image;
-        for_rows(rows, 4 * columns, 3 * width + columns, threads, [&](std::int64_t y, float* memory) {
-            float* const both[2] = {to + y * columns, to + cells + y * columns};
-            FINGERFLOW_PICK(flow_mean_row)(planes, inside + area * image, height, width, y, both, memory);
-        });
-    }
 }
 
 void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch, std::int64_t height,

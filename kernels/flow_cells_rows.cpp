@@ -1,12 +1,15 @@
 // build: each instruction set, fused
-// Row loops of flow_cells.cpp and flow_course.cpp: interpolation between cells and pixels, residuals, gradients,
-// moments and window means. Cells are interpolated with weights 3/4 and 1/4 along each axis, normalised by the known
-// cells.
+// Row loops of flow_cells.cpp and flow_course.cpp: interpolation between cells and pixels, warping, residuals, gradients,
+// covariances, moments and window means. Cells are interpolated with weights 3/4 and 1/4 along each axis, normalised by
+// the known cells. Warping evaluates the cubic B-spline of the coefficients with 4 x 4 taps.
+// Covariance from the eigenvalues k of the tensor: density / (4 pi alpha) * (1 - z e^z E1(z)) with z = rho^2 k / alpha.
+// Logarithm, exponential and E1 are polynomials, so that they vectorize.
 // Layout: one pixel or cell of a row a lane; `to` and `memory` hold rows, one after the other. Sums over a row are
 // taken in float lanes and added as doubles.
 #include "flow_cells_rows.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "floats.h"
 #include "lanes.h"
@@ -232,24 +235,14 @@ void flow_left_row(const FlowPicture& picture, const float* warped, const float*
         const std::int64_t at = (2 * y + row) * width;
         const float *FINGERFLOW_RESTRICT value = picture.value + at, *FINGERFLOW_RESTRICT of = warped + at, *FINGERFLOW_RESTRICT s = seen + at;
         const float *FINGERFLOW_RESTRICT slope_x = picture.slope_x + at, *FINGERFLOW_RESTRICT slope_y = picture.slope_y + at;
-        if (row == 0) {
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float left = s[x] * (of[x] - offset - gain * value[x]);
-                by_x[x] = slope_x[x] * left;
-                by_y[x] = slope_y[x] * left;
-                squares[x] = left * left;
-                count[x] = s[x];
-            }
-        } else {
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float left = s[x] * (of[x] - offset - gain * value[x]);
-                by_x[x] += slope_x[x] * left;
-                by_y[x] += slope_y[x] * left;
-                squares[x] += left * left;
-                count[x] += s[x];
-            }
+        const bool second = row == 1;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float left = s[x] * (of[x] - offset - gain * value[x]);
+            by_x[x] = (second ? by_x[x] : 0.0f) + slope_x[x] * left;
+            by_y[x] = (second ? by_y[x] : 0.0f) + slope_y[x] * left;
+            squares[x] = (second ? squares[x] : 0.0f) + left * left;
+            count[x] = (second ? count[x] : 0.0f) + s[x];
         }
     }
     for (int k = 0; k < 4; ++k) halve(memory + k * width, width, to[k]);
@@ -435,57 +428,130 @@ void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* t
     }
 }
 
-void flow_mean_row(const float* const* planes, const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* to,
-                   float* memory) {
-    const std::int64_t rows = 2 * y + 1 < height ? 2 : 1, count = (width + 1) / 2;
-    float *FINGERFLOW_RESTRICT u = memory, *FINGERFLOW_RESTRICT v = memory + width, *FINGERFLOW_RESTRICT share = memory + 2 * width;
-    float* FINGERFLOW_RESTRICT mean_share = memory + 3 * width;
-    const float endless = static_cast<float>(HUGE_VAL);
-    for (std::int64_t row = 0; row < rows; ++row) {
-        const std::int64_t at_row = (2 * y + row) * width;
-        const float *FINGERFLOW_RESTRICT a = planes[0] + at_row, *FINGERFLOW_RESTRICT b = planes[1] + at_row, *FINGERFLOW_RESTRICT w = inside + at_row;
-        const bool second = row == 1;
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) {
-            const float on_u = fabsf(a[x]) < endless ? w[x] * a[x] : 0.0f, on_v = fabsf(b[x]) < endless ? w[x] * b[x] : 0.0f;
-            u[x] = second ? u[x] + on_u : on_u;
-            v[x] = second ? v[x] + on_v : on_v;
-            share[x] = second ? share[x] + w[x] : w[x];
-        }
-    }
-    halve(share, width, mean_share);
-    for (int k = 0; k < 2; ++k) {
-        float* FINGERFLOW_RESTRICT mean = to[k];
-        halve(memory + k * width, width, mean);
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < count; ++x) mean[x] = mean[x] / (mean_share[x] > 0 ? mean_share[x] : 1.0f);
-    }
-}
-
 void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels) {
     const float most_x = static_cast<float>(width - 1), most_y = static_cast<float>(height - 1), down = static_cast<float>(y);
     const float none = static_cast<float>(NAN);
     const float* FINGERFLOW_RESTRICT w = inside + y * width;
     const float *u = rows[0], *v = rows[1];
-    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement, which decides what is lost, last
-        float* to = rows[channel];
-        if (channel >= 2) {
-            float* FINGERFLOW_RESTRICT other = to;
-            FINGERFLOW_INDEPENDENT
-            for (std::int64_t x = 0; x < width; ++x) {
-                const float to_x = static_cast<float>(static_cast<int>(x)) + u[x], to_y = down + v[x];
-                const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
-                other[x] = kept ? other[x] : none;
-            }
+    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement last: NaN in v loses u too
+        float* const to = rows[channel];
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float to_x = static_cast<float>(static_cast<int>(x)) + u[x], to_y = down + v[x];
+            const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
+            to[x] = kept ? to[x] : none;
         }
     }
-    float *FINGERFLOW_RESTRICT of_u = rows[0], *FINGERFLOW_RESTRICT of_v = rows[1];
+}
+
+namespace {
+
+// Weights of the cubic B-spline at a fraction of a pixel.
+inline void weights_of(float fraction, float (&weights)[4]) {
+    const float rest = 1 - fraction, square = fraction * fraction, rest_square = rest * rest;
+    weights[0] = rest_square * rest / 6;
+    weights[1] = 2.0f / 3 + square * (fraction / 2 - 1);
+    weights[2] = 2.0f / 3 + rest_square * (rest / 2 - 1);
+    weights[3] = square * fraction / 6;
+}
+
+inline std::int64_t within(std::int64_t value, std::int64_t count) { return value < 0 ? 0 : value < count ? value : count - 1; }
+
+}  // namespace
+
+void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v, float* values,
+                   std::int64_t y) {
+    const float farthest = 1e6f;  // px, far outside any image
+    for (std::int64_t begin = 0, end; begin < width; begin = end) {
+        // A run of pixels whose displacements have the same integer part: their taps are contiguous.
+        const float whole_u = floorf(u[begin]), whole_v = floorf(v[begin]);
+        for (end = begin + 1; end < width && u[end] >= whole_u && u[end] < whole_u + 1 && v[end] >= whole_v && v[end] < whole_v + 1;) ++end;
+        const auto right = static_cast<std::int64_t>(fminf(fmaxf(whole_u, -farthest), farthest)) - 1;
+        const auto below = static_cast<std::int64_t>(fminf(fmaxf(whole_v, -farthest), farthest)) - 1;
+        const float* lines[4];
+        for (int k = 0; k < 4; ++k) lines[k] = coefficients + within(y + below + k, height) * width;
+        // The range of the run whose taps all lie in the image.
+        const std::int64_t first = begin + right < 0 ? (-right < end ? -right : end) : begin;
+        const std::int64_t limit = width - 3 - right, last = limit < end ? (limit > first ? limit : first) : end;
+        const auto slowly = [&](std::int64_t from, std::int64_t to) {
+            for (std::int64_t x = from; x < to; ++x) {
+                float across[4], down[4], value = 0;
+                weights_of(u[x] - whole_u, across);
+                weights_of(v[x] - whole_v, down);
+                for (int k = 0; k < 4; ++k) {
+                    float line = 0;
+                    for (int j = 0; j < 4; ++j) line += across[j] * lines[k][within(x + right + j, width)];
+                    value += down[k] * line;
+                }
+                values[x] = value;
+            }
+        };
+        slowly(begin, first);
+        const float *FINGERFLOW_RESTRICT l0 = lines[0] + right, *FINGERFLOW_RESTRICT l1 = lines[1] + right;
+        const float *FINGERFLOW_RESTRICT l2 = lines[2] + right, *FINGERFLOW_RESTRICT l3 = lines[3] + right;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = first; x < last; ++x) {
+            float a[4], d[4];
+            weights_of(u[x] - whole_u, a);
+            weights_of(v[x] - whole_v, d);
+            const float line0 = a[0] * l0[x] + a[1] * l0[x + 1] + a[2] * l0[x + 2] + a[3] * l0[x + 3];
+            const float line1 = a[0] * l1[x] + a[1] * l1[x + 1] + a[2] * l1[x + 2] + a[3] * l1[x + 3];
+            const float line2 = a[0] * l2[x] + a[1] * l2[x + 1] + a[2] * l2[x + 2] + a[3] * l2[x + 3];
+            const float line3 = a[0] * l3[x] + a[1] * l3[x + 1] + a[2] * l3[x + 2] + a[3] * l3[x + 3];
+            values[x] = d[0] * line0 + d[1] * line1 + d[2] * line2 + d[3] * line3;
+        }
+        slowly(last, end);
+    }
+}
+
+namespace {
+
+// ln x of a normal number above 0, by the series of atanh((m - 1) / (m + 1)) of its mantissa m in [2/3, 4/3); error
+// 2e-7.
+inline float logarithm(float x) {
+    std::int32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    const std::int32_t exponent = (bits - 0x3f2aaaab) >> 23;  // of 2/3
+    const std::int32_t rest = bits - (exponent << 23);
+    float mantissa;
+    memcpy(&mantissa, &rest, sizeof mantissa);
+    const float s = (mantissa - 1) / (mantissa + 1), z = s * s;
+    return static_cast<float>(exponent) * 0.69314718f + 2 * s * (1 + z * (1 / 3.0f + z * (1 / 5.0f + z * (1 / 7.0f + z * (1 / 9.0f)))));
+}
+
+// e^x for x in [0, 1], by the Taylor series about 1/2; error 2e-7.
+inline float exponential(float x) {
+    const float t = x - 0.5f;
+    return 1.6487213f * (1 + t * (1 + t * (1 / 2.0f + t * (1 / 6.0f + t * (1 / 24.0f + t * (1 / 120.0f + t * (1 / 720.0f)))))));
+}
+
+// 1 - z e^z E1(z) for z > 0, approximated as in fingerflow/ops/flow/flow_covariance.py.
+inline float passed(float z) {
+    const float small = z < 1 ? z : 1.0f;
+    const float series = 0.99999193f + small * (-0.24991055f + small * (0.05519968f + small * (-0.00976004f + small * 0.00107857f)));
+    const float below = small * exponential(small) * (series * small - 0.57721566f - logarithm(small));
+    const float large = z < 1 ? 1.0f : z < 1e6f ? z : 1e6f;
+    const float above = (large * (large + 2.334733f) + 0.250621f) / (large * (large + 3.330657f) + 1.681534f);
+    return 1 - (z < 1 ? below : above);
+}
+
+}  // namespace
+
+void flow_covariance_row(const float* const* tensor, const FlowNoise& noise, std::int64_t width, float* const* covariance) {
+    const float *FINGERFLOW_RESTRICT xx = tensor[0], *FINGERFLOW_RESTRICT xy = tensor[1], *FINGERFLOW_RESTRICT yy = tensor[2];
+    float *FINGERFLOW_RESTRICT to_xx = covariance[0], *FINGERFLOW_RESTRICT to_xy = covariance[1], *FINGERFLOW_RESTRICT to_yy = covariance[2];
+    const float tiny = 1e-12f, by_alpha = 1 / noise.alpha, factor = noise.density / (4 * 3.14159265f * noise.alpha), none = static_cast<float>(NAN);
     FINGERFLOW_INDEPENDENT
     for (std::int64_t x = 0; x < width; ++x) {
-        const float to_x = static_cast<float>(static_cast<int>(x)) + of_u[x], to_y = down + of_v[x];
-        const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
-        of_u[x] = kept ? of_u[x] : none;
-        of_v[x] = kept ? of_v[x] : none;
+        const float mean = (xx[x] + yy[x]) / 2, half = (xx[x] - yy[x]) / 2, apart = sqrtf(half * half + xy[x] * xy[x]);
+        const float larger = (mean + apart) * by_alpha, least = mean - apart, smaller = (least > 0 ? least : 0.0f) * by_alpha;
+        const float of_larger = factor * passed(noise.rho_square * (larger > tiny ? larger : tiny));
+        const float of_smaller = factor * passed(noise.rho_square * (smaller > tiny ? smaller : tiny));
+        const float slope = (of_larger - of_smaller) / (2 * apart > tiny ? 2 * apart : tiny);
+        const bool known = mean + apart > noise.textured;
+        to_xx[x] = known ? of_smaller + slope * (apart + half) : none;
+        to_xy[x] = known ? slope * xy[x] : none;
+        to_yy[x] = known ? of_smaller + slope * (apart - half) : none;
     }
 }
 

@@ -26,6 +26,11 @@ struct FlowPicture {
     std::int64_t height, width;
 };
 
+// Noise density and smoothing (fingerflow/ops/flow/flow_covariance.py), and the least eigenvalue of textured cells.
+struct FlowNoise {
+    float density, alpha, rho_square, textured;
+};
+
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     // Writes row y of the pixels, one row of `width` floats a channel: bilinear between known cells; in the first two
@@ -41,6 +46,9 @@ FINGERFLOW_FOR_EACH_SET(
                        std::int64_t y, double* sums);
     // Adds the sums of squares and products of both images about their means.
     void flow_light_row(const FlowPicture& picture, const float* warped, const float* seen, const float* means, std::int64_t y, double* sums);
+    // Row y of the spline of coefficients (height, width) at (x + u, y + v), the border repeated.
+    void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v,
+                       float* values, std::int64_t y);
     // Writes row y of the cells: means of residual times slopes, of residual^2, and of `seen`. `memory`: 4 rows.
     void flow_left_row(const FlowPicture& picture, const float* warped, const float* seen, float gain, float offset, std::int64_t y,
                        float* const* to, float* memory);
@@ -64,14 +72,11 @@ FINGERFLOW_FOR_EACH_SET(
     // Writes row y of the cells: means of products of slopes, 1 where any pixel lies inside, edges to the next cell of
     // the row and, unless null, of the column. `memory`: 3 rows.
     void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* tensor, float* known, float* right, float* down, float* memory);
-    // Writes row y of the means over each cell's finite pixels inside the mask.
-    void flow_mean_row(const float* const* planes, const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* to, float* memory);
     // Writes NaN in `channels` rows where a pixel lies outside the mask or has left the image.
     void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels);
+    // Writes a row of covariances xx, xy, yy from tensors xx, xy, yy.
+    void flow_covariance_row(const float* const* tensor, const FlowNoise& noise, std::int64_t width, float* const* covariance);
 )
 // clang-format on
-
-// The least-squares plane of 12 moments, or the mean where the cells do not span a plane.
-FlowPlane flow_plane(const double* sums);
 
 }  // namespace fingerflow

@@ -1,15 +1,16 @@
 // Course of a flow: at each cell the value of a weighted plane fit of the flow in a window around it, and the departure
-// of the flow from it (fingerflow/ops/flow/flow_descent.py). The plane of the whole field is subtracted first.
+// of the flow from it (fingerflow/ops/flow/flow_cells.py). The plane of the whole field is subtracted first.
 // Each plane follows from 12 moments: of the weight 1, x, y, xx, xy, yy; of u and v each 1, x, y.
 // Layout: moments are planes on cells of twice the size, (12, ceil(height / 2), ceil(width / 2)), averaged with the
 // window's weights along rows, then along columns; one cell a lane.
 #include "flow_course.h"
 
-
 #include "flow_pieces.h"
 
 namespace fingerflow {
+namespace {
 
+// The least-squares plane of 12 moments, or the mean where the cells do not span a plane.
 FlowPlane flow_plane(const double* sums) {
     const double tiny = 1e-12, narrow = 0.01;
     const double some = sums[0] > tiny ? sums[0] : 1.0, x = sums[1] / some, y = sums[2] / some;
@@ -27,6 +28,8 @@ FlowPlane flow_plane(const double* sums) {
     }
     return plane;
 }
+
+}  // namespace
 
 FlowPlane flow_whole_plane(const FlowCells& field, int threads) {
     const std::int64_t width = field.width, area = field.height * width;

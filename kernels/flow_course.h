@@ -1,4 +1,4 @@
-// Course of a flow: local plane fits (fingerflow/ops/flow/flow_course.py).
+// Course of a flow: local plane fits (fingerflow/ops/flow/flow_cells.py).
 #pragma once
 
 #include <cstdint>

@@ -120,18 +120,12 @@ def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
     template, found = prepare_flow(first), dense_flow(first, current)
     before = 0.9 * found.displacement
 
-    def of(flow: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.moveaxis(flow, 2, 0).astype(np.float64))[None]
-
-    def as_fields(way: Callable[[], np.ndarray]) -> Way:
-        return lambda: of(way())
-
     def ilk() -> Tensor:
         down, right = optical_flow_ilk(one, other, radius=10, dtype=np.float32)
-        return of(np.stack((right, down), axis=-1))
+        return _field(np.stack((right, down), axis=-1))
 
     ways: dict[str, Way] = {
-        **{name: as_fields(way) for name, way in opencv(one, other).items()},
+        **opencv(one, other),
         "scikit-image ILK": ilk,
         "fingerflow, cold": lambda: dense_flow(first, current).displacement.double(),
         "fingerflow, warm": lambda: find_flow(template, current, before, warps=1).displacement.double(),
@@ -139,33 +133,37 @@ def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
     return ways, found
 
 
-def opencv(first: Any, current: Any) -> dict[str, Callable[[], np.ndarray]]:
-    """(H, W, 2) as (x, y), of two images (H, W) uint8."""
+def _field(flow: np.ndarray) -> Tensor:
+    """(1, 2, H, W) of (H, W, 2)."""
+    return torch.from_numpy(np.moveaxis(flow, 2, 0).astype(np.float64))[None]
+
+
+def opencv(first: Any, current: Any) -> dict[str, Way]:
+    """Fields (1, 2, H, W) of two images (H, W) uint8."""
     farneback: Any = cv2.calcOpticalFlowFarneback  # stubs do not know that there may be no initial flow
     medium: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return {
-        PEER: lambda: farneback(first, current, None, 0.5, 4, 21, 3, 7, 1.5, 0),
-        "opencv DIS, medium": lambda: medium.calc(first, current, None),
+        PEER: lambda: _field(farneback(first, current, None, 0.5, 4, 21, 3, 7, 1.5, 0)),
+        "opencv DIS, medium": lambda: _field(medium.calc(first, current, None)),
     }
 
 
-def _variational(first: Any, current: Any) -> dict[str, Callable[[], np.ndarray]]:
+def _variational(first: Any, current: Any) -> dict[str, Way]:
     optflow: Any = cv2.optflow  # unknown to stubs
 
-    def refined(of_gradient: float) -> np.ndarray:
+    def refined(of_gradient: float) -> Tensor:
         refinement: Any = cv2.VariationalRefinement.create()
         refinement.setFixedPointIterations(20)
         refinement.setSorIterations(20)
         refinement.setGamma(of_gradient)
         medium: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        found: np.ndarray = refinement.calc(first, current, medium.calc(first, current, None))
-        return found
+        return _field(refinement.calc(first, current, medium.calc(first, current, None)))
 
     return {
         "opencv DIS, refined by grey levels": lambda: refined(0.0),
         "opencv DIS, refined by gradients too": lambda: refined(10.0),
-        "opencv DeepFlow": lambda: optflow.createOptFlow_DeepFlow().calc(first, current, None),
-        "opencv TV-L1": lambda: optflow.createOptFlow_DualTVL1().calc(first, current, None),
+        "opencv DeepFlow": lambda: _field(optflow.createOptFlow_DeepFlow().calc(first, current, None)),
+        "opencv TV-L1": lambda: _field(optflow.createOptFlow_DualTVL1().calc(first, current, None)),
     }
 
 
@@ -175,15 +173,14 @@ def _dimetrodon() -> list[Row]:
     one, other = (cv2.imread(str(DATA / f"dimetrodon_frame{number}.png"), cv2.IMREAD_GRAYSCALE) for number in (10, 11))
     raw = np.fromfile(DATA / "dimetrodon_flow10.flo", np.float32)
     width, height = np.frombuffer(raw[1:3].tobytes(), np.int32)
-    truth = raw[3:].reshape(height, width, 2)
-    known = np.abs(truth).max(axis=-1) < 1e9
+    truth = _field(raw[3:].reshape(height, width, 2))
     first, current = (torch.from_numpy(image)[None, None] for image in (one, other))
 
-    def ours(penalty: Penalty, constancy: Constancy, roughness: float) -> np.ndarray:
+    def ours(penalty: Penalty, constancy: Constancy, roughness: float) -> Tensor:
         flow = dense_flow(first, current, box=3, roughness=roughness, warps=5, penalty=penalty, constancy=constancy)
-        return np.moveaxis(flow.displacement[0].numpy(), 0, 2)
+        return flow.displacement.double()
 
-    ways: dict[str, Callable[[], np.ndarray]] = {
+    ways: dict[str, Way] = {
         **opencv(one, other),
         **_variational(one, other),
         "fingerflow, cold": lambda: ours("quadratic", "brightness", 0.4),
@@ -193,15 +190,16 @@ def _dimetrodon() -> list[Row]:
     }
     rows: list[Row] = []
     fields = {name: way() for name, way in ways.items()}
-    counted = known & np.isfinite(np.stack(list(fields.values()))).all(axis=(0, -1))
+    known = truth.abs().amax(1) < 1e9
+    counted = known & torch.cat(list(fields.values())).isfinite().all(1).all(0)
     for name, found in fields.items():
-        length = np.sqrt((1 + (found**2).sum(-1)) * (1 + (truth**2).sum(-1)))
-        angle = np.degrees(np.arccos(np.clip((1 + (found * truth).sum(-1)) / length, -1, 1)))
+        length = ((1 + found.square().sum(1)) * (1 + truth.square().sum(1))).sqrt()
+        angle = ((1 + (found * truth).sum(1)) / length).clamp(-1, 1).arccos().rad2deg()
         rows.append(
             {
                 "scene": "dimetrodon",
                 "way": name,
-                "epe_px": float(np.linalg.norm(found - truth, axis=-1)[counted].mean()),
+                "epe_px": float((found - truth).norm(dim=1)[counted].mean()),
                 "angle_deg": float(angle[counted].mean()),
             }
         )

@@ -27,12 +27,12 @@ Scene = tuple[Tensor, Tensor, Tensor, Tensor]  # two images, the truth, NaN wher
 
 def run(quick: bool) -> list[Row]:
     """A row a scene and way."""
-    shape = (160, 200) if quick else (320, 400)
+    shape, specks = ((160, 200), 150) if quick else ((320, 400), 300)
     scenes: dict[str, Callable[[], Scene]] = {
-        "jump of 0.5 px": lambda: _jump(shape, 0.5),
-        "jump of 1.5 px": lambda: _jump(shape, 1.5),
-        "dust on ridges": lambda: _dust(shape, ridges()),
-        "dust on a whorl": lambda: _dust(shape, grey),
+        "jump of 0.5 px": lambda: jump(shape, 0.5),
+        "jump of 1.5 px": lambda: jump(shape, 1.5),
+        "dust on ridges": lambda: dust(shape, ridges(), specks),
+        "dust on a whorl": lambda: dust(shape, grey, specks),
     }
     rows: list[Row] = []
     for scene, made in scenes.items():
@@ -59,7 +59,7 @@ def _found(first: Tensor, current: Tensor) -> dict[str, Tensor]:
 
     peers = opencv(first[0, 0].numpy(), current[0, 0].numpy())
     return {
-        **{name: torch.from_numpy(np.moveaxis(way(), 2, 0).astype(np.float64))[None] for name, way in peers.items()},
+        **{name: way() for name, way in peers.items()},
         "fingerflow, quadratic": ours(),
         "fingerflow, charbonnier": ours(penalty="charbonnier"),
         "fingerflow, gradient, charbonnier": ours(penalty="charbonnier", constancy="gradient"),
@@ -71,7 +71,8 @@ def _places(shape: tuple[int, int]) -> tuple[Tensor, Tensor]:
     return x, y
 
 
-def _jump(shape: tuple[int, int], slip: float) -> Scene:
+def jump(shape: tuple[int, int], slip: float) -> Scene:
+    """Skin that sticks inside an ellipse and slips by so many px outside."""
     height, width = shape
 
     def inside(x: Tensor, y: Tensor) -> Tensor:
@@ -91,11 +92,12 @@ def _jump(shape: tuple[int, int], slip: float) -> Scene:
     return first, current, torch.stack((along, 0 * x))[None], torch.as_tensor(to_border) <= 5
 
 
-def _dust(shape: tuple[int, int], texture: Callable[[Tensor, Tensor], Tensor]) -> Scene:
+def dust(shape: tuple[int, int], texture: Callable[[Tensor, Tensor], Tensor], count: int) -> Scene:
+    """Skin that moves behind so many specks."""
     first, current, truth = pair(texture, shape)
     x, y = _places(shape)
     light = torch.ones(shape, dtype=torch.float64)
-    specks = torch.rand(300 * shape[0] // 320, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    specks = torch.rand(count, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
     for right, down, wide in specks.tolist():
         square = ((x - right * shape[1]) ** 2 + (y - down * shape[0]) ** 2) / (1.5 + 1.5 * wide) ** 2
         light *= 1 - 0.5 * torch.exp(-square * square)

@@ -261,11 +261,11 @@ struct fingerflow_triangle_strain {
 };
 void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
-// A flow led down to its fixed point, as fingerflow/ops/flow/flow_descent.py does it: levels from the finest on, their planes those
+// A flow led down to its fixed point, as fingerflow/ops/flow/flow_multigrid.py does it: levels from the finest on, their planes those
 // of all images of the batch; pull, flow and moved (batch, 2, height, width) of the finest, known (batch, height, width).
 // Weights of a window: the middle one and `half` more.
 struct fingerflow_flow_level {
-    const float *tensor, *right, *down, *inverse, *inside;
+    float *tensor, *right, *down, *inverse, *inside;
     std::int64_t height, width;
 };
 struct fingerflow_flow_descend_of {
@@ -280,12 +280,8 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
 
 // The levels of the above made from the finest: its tensor, edges and inside are read, all inverses and what coarser levels
 // have are written.
-struct fingerflow_flow_level_to {
-    float *tensor, *right, *down, *inverse, *inside;
-    std::int64_t height, width;
-};
 struct fingerflow_flow_levels_of {
-    const fingerflow_flow_level_to* levels;
+    const fingerflow_flow_level* levels;
     std::int64_t count, batch;
 };
 void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads);
@@ -321,10 +317,6 @@ void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);
 void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated,
                                std::int64_t count, std::int64_t height, std::int64_t width, int threads);
 
-// Means (batch, 2, ...) over cells of what is finite of fields (batch, 2, height, width) inside (batch, height, width).
-void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch,
-                              std::int64_t height, std::int64_t width, int threads);
-
 // Cells of a flow (batch, 2, ...) at the pixels (batch, 2, height, width).
 void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch,
                                std::int64_t height, std::int64_t width, int threads);
@@ -337,11 +329,6 @@ struct fingerflow_flow_at_pixels_of {
     std::int64_t batch, height, width;
 };
 void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);
-
-// The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
-// repeated, as fingerflow/ops/flow/dense_flow.py has it.
-void fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
-                          std::int64_t height, std::int64_t width, int threads);
 
 // Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
 // count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x

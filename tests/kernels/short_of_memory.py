@@ -49,7 +49,6 @@ def calls() -> dict[str, Callable[[], Any]]:
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
-    moving = one.float().expand(-1, 2, -1, -1) / 100
 
     on_tall = tuple(one.numpy() for one in (tall, *(one.repeat(1, 1, 4, 1) for one in (light, 0 * light))))
     limits = np.full(2, 0.5, np.float32)
@@ -62,9 +61,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "flow_levels": lambda: kernels.flow_levels(
             cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3
         ),
-        "flow_to_cells": lambda: kernels.flow_to_cells(moving, torch.ones_like(moving[:, :1])),
         "flow_to_pixels": lambda: kernels.flow_to_pixels(cells.repeat(1, 2, 1, 1), cells, *one.shape[2:]),
-        "flow_warp": lambda: kernels.flow_warp(one.float(), moving),
     }
     own: dict[str, Callable[[], Any]] = {
         name: lambda case=case: case.call(*case.inputs) for name, case in CASES.items()

@@ -64,7 +64,7 @@ def calls() -> dict[str, Callable[[], object]]:
         "local_gradients": lambda: kernels.local_gradients(
             points, points, points, None, radius=20.0, least_spread=0.1, minimum_points=5
         ),
-        "flow_warp": lambda: kernels.flow_warp(coefficients.repeat(1, 1, 8, 8), torch.zeros(2, 2, 1600, 512)),
+        "flow_integrate": lambda: kernels.flow_integrate(coefficients.repeat(1, 1, 8, 8), [0.25, 0.5, 0.25]),
         **on_arrays(),
     }
 

@@ -43,9 +43,7 @@ flow_integrate = torch_op()(flow.flow_integrate)
 flow_left = torch_op()(flow.flow_left)
 flow_levels = torch_op()(flow.flow_levels)
 flow_template = torch_op()(flow.flow_template)
-flow_to_cells = torch_op()(flow.flow_to_cells)
 flow_to_pixels = torch_op()(flow.flow_to_pixels)
-flow_warp = torch_op()(flow.flow_warp)
 level_shapes = flow.level_shapes
 press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
 LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW

@@ -8,7 +8,7 @@ It minimises, over the pixels x of a mask,
 aperture problem; alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both images
 pass the same low-pass filter. Departures from the paper:
 
-- The smoothness term penalises the departure of w from its own trend M w (`ops.flow.flow_course`). M w is the plane
+- The smoothness term penalises the departure of w from its own trend M w (`course` of `flow_cells`). M w is the plane
   that fits w best, plus planes fitted to the remainder around every position over some two periods of ridges. With
   |grad w|^2, a finger that widens evenly is flattened at the border of the mask, and a wave of 300 px loses 3 % of its
   height. Noise could then be averaged over a few pixels only. On ridges with 2 grey levels of noise the error falls
@@ -24,7 +24,7 @@ pass the same low-pass filter. Departures from the paper:
   `initial`, from the frame before, tracked points or a search.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -47,11 +47,10 @@ from fingerflow.ops.flow.flow_cells import (
     window,
     window_variance,
 )
-from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels, check_constancy
+from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from fingerflow.ops.flow.flow_covariance import flow_covariance
-from fingerflow.ops.flow.flow_descent import descended
-from fingerflow.ops.flow.flow_multigrid import Level, edges, halved_edges, pyramid
-from fingerflow.ops.flow.flow_penalty import Penalty, check_penalty, data_weights, mean_edge_weight, weighted_levels
+from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, halved_edges, pyramid
+from fingerflow.ops.flow.flow_penalty import Penalty, data_weights, mean_edge_weight, weighted_levels
 from fingerflow.ops.tensors import finite
 
 _CYCLES = 3  # of multigrid after the last warp
@@ -91,7 +90,7 @@ class FlowTemplate(NamedTuple):
     variance: Tensor  # (B,) of the noise
     roughness: float
     constancy: Constancy
-    covariance: Tensor | None  # (B, 3, h, w) xx, xy, yy on cells, at a gain of 1; None for a halved image
+    covariance: Tensor | None  # (B, 3, h, w) of `levels`, from `_covariance`; None for a halved image
     weights: list[float]  # of the window, on cells
     coarser: "FlowTemplate | None"  # of the halved image, for a cold start; None if too small or without texture
 
@@ -134,8 +133,8 @@ def dense_flow(
     Raises:
         ValueError: shapes do not match, or a setting is out of range.
     """
-    check_penalty(penalty)
-    check_constancy(constancy)
+    _check_choice("penalty", penalty, Penalty)
+    _check_choice("constancy", constancy, Constancy)
     robust, of_gradient = penalty == "charbonnier", constancy == "gradient"
     return whole_flow(first, current, initial, mask, noise, box, roughness, warps, robust, of_gradient)
 
@@ -181,31 +180,27 @@ def prepare_flow(
         raise ValueError(f"mask must be bool {tuple(first.shape)}, not {mask.dtype} {tuple(mask.shape)}")
     if box < 1 or box % 2 == 0 or not roughness > 0:
         raise ValueError(f"box must be odd and at least 1 px, roughness above 0, not {box} and {roughness}")
-    check_constancy(constancy)
+    _check_choice("constancy", constancy, Constancy)
     kind = torch.float64 if first.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(first) if noise is None else noise).to(kind).square()
     least = rounding_variance(first)
     variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
-    template, tensor = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
-    alpha, of_noise = _smoothing(variance, roughness), _noise_of_tensor(variance, constancy)
-    spread = flow_covariance(tensor, variance, alpha, window_variance(template.weights), of_noise)
-    return template._replace(covariance=spread)
+    template = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    return template._replace(covariance=_covariance(template, template.levels[0]))
 
 
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
-) -> tuple[FlowTemplate, Tensor]:
-    """Prepare a floating image and its halved ones, while their texture exceeds the noise; also return J of the image.
-
-    The templates have no covariance.
-    """
+) -> FlowTemplate:
+    """Prepare a floating image and its halved ones, while their texture exceeds the noise; without covariance."""
     given = channels(spline_coefficients(first), constancy)
     count = len(given) // len(first)
     fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
     value, gradient = fields.value, fields.gradient
     # A pixel that is unknown in one channel is unknown in all.
-    inside, known, *between = (_least(one, count) for one in (fields.inside, *fields[4:]))
+    everywhere = (fields.inside, fields.known, fields.right, fields.down)
+    inside, known, right, down = (_least(one, count) for one in everywhere)
     products = _sum(fields.tensor, count)
     weights = window(max(box / CELL, 1.0))
     tensor = known * integrated(products, weights)
@@ -217,13 +212,20 @@ def _prepared(
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
         # A mean of four has a fourth of the noise variance, and is unknown where one of the four is.
         all_known = (halved_image(inside) == 1).to(inside.dtype)
-        coarser, _ = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
-    right, down = (alpha * one for one in between)
-    levels = pyramid(tensor, right, down, known)
-    template = FlowTemplate(
+        coarser = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
+    levels = pyramid(tensor, alpha * right, alpha * down, known)
+    return FlowTemplate(
         value, gradient, inside, levels, products, variance, roughness, constancy, None, weights, coarser
     )
-    return template, tensor
+
+
+def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
+    """Return the covariance (B, 3, h, w), xx, xy, yy, on the cells of the finest level, at a gain of 1."""
+    alpha = _smoothing(template.variance, template.roughness)
+    if finest is not template.levels[0]:
+        alpha = alpha * mean_edge_weight(finest, template.levels[0])
+    of_noise = _noise_of_tensor(template.variance, template.constancy)
+    return flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
@@ -274,7 +276,7 @@ def find_flow(
 ) -> Flow:
     """Compute the flow from a prepared first image to a current one; arguments as for `dense_flow`."""
     _check_image("current", current, template.inside)
-    check_penalty(penalty)
+    _check_choice("penalty", penalty, Penalty)
     if warps < 1:
         raise ValueError(f"warps must be at least 1, not {warps}")
     shape = (len(current), 2, *current.shape[-2:])
@@ -286,23 +288,21 @@ def find_flow(
     else:
         flow = to_cells(initial.to(given.dtype), template.inside)
     flow, left, finest = _refined(template, given, flow, warps, penalty)
-    spread = template.covariance
-    if spread is None or penalty == "charbonnier":
-        alpha = _smoothing(template.variance, template.roughness) * mean_edge_weight(finest, template.levels[0])
-        of_noise = _noise_of_tensor(template.variance, template.constancy)
-        spread = flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
-    return _at_pixels(template, flow, left, spread)
+    covariance = template.covariance
+    if covariance is None or penalty == "charbonnier":
+        covariance = _covariance(template, finest)
+    return _at_pixels(template, flow, left, covariance)
 
 
-def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], spread_at: Tensor) -> Flow:
+def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covariance: Tensor) -> Flow:
     """Return the result at pixels from the flow on cells.
 
-    `left` is the residual before the last step, `spread_at` the covariance at a gain of 1.
+    `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
     size = template.inside.shape[-2:]
     known = template.levels[0].inside
     # Half of it is noise of the first image, half of the current one, which counts more at a lower gain.
-    covariance = spread_at * ((1 + 1 / (left.gain * left.gain)) / 2)
+    covariance = covariance * ((1 + 1 / (left.gain * left.gain)) / 2)
     squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
     others = torch.cat((covariance, residual), dim=1)
@@ -374,7 +374,9 @@ def _left_of_each(
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
-    seen, warped = _warped(coefficients, displacement, inside)
+    warped = _sampled(coefficients, displacement)
+    usable = finite(warped)
+    seen, warped = _arrives(displacement, inside, _MARGIN) * usable.to(inside.dtype), torch.where(usable, warped, 0.0)
     gain, offset = _light(value, warped, seen)
     left = seen * (warped - offset - gain * value)
     means = halved(torch.cat((gradient * left, left * left, seen), dim=1))
@@ -384,29 +386,15 @@ def _left_of_each(
 def _slopes(coefficients: Tensor) -> Tensor:
     """Return the slopes (B, 2, H, W) of the spline at whole pixels."""
     wide = functional.pad(coefficients, (1, 1, 1, 1), mode="replicate")
-
-    def smooth(cells: Tensor, dim: int) -> Tensor:
-        count = cells.shape[dim] - 2
-        return (cells.narrow(dim, 0, count) + 4 * cells.narrow(dim, 1, count) + cells.narrow(dim, 2, count)) / 6
-
-    def slope(cells: Tensor, dim: int) -> Tensor:
-        count = cells.shape[dim] - 2
-        return (cells.narrow(dim, 2, count) - cells.narrow(dim, 0, count)) / 2
-
-    return torch.cat((slope(smooth(wide, 2), 3), smooth(slope(wide, 2), 3)), dim=1)
-
-
-def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Return which pixels of the mask arrive where the spline is known, and its values there, (B, 1, H, W) each."""
-    values = _sampled(coefficients, flow)
-    usable = finite(values)
-    return _arrives(flow, inside, _MARGIN) * usable.to(values.dtype), torch.where(usable, values, 0.0)
+    smooth = (wide[..., :-2, :] + 4 * wide[..., 1:-1, :] + wide[..., 2:, :]) / 6
+    change = (wide[..., 2:, :] - wide[..., :-2, :]) / 2
+    across = (smooth[..., 2:] - smooth[..., :-2]) / 2
+    down = (change[..., :-2] + 4 * change[..., 1:-1] + change[..., 2:]) / 6
+    return torch.cat((across, down), dim=1)
 
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     """Return the spline (B, 1, H, W) at the displaced pixels; beyond the border its coefficients are replicated."""
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow):
-        return kernels.flow_warp(coefficients, flow)
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
     (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
@@ -443,6 +431,11 @@ def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]
     # An uncorrelated image could get a gain near 0 or below: it is compared with a gain of 1.
     gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
     return gain, mean_warped - gain * mean
+
+
+def _check_choice(name: str, choice: str, choices: Any) -> None:
+    if choice not in get_args(choices):
+        raise ValueError(f"{name} must be one of {get_args(choices)}, not {choice!r}")
 
 
 def _check_image(name: str, image: Tensor, like: Tensor) -> None:

@@ -6,7 +6,7 @@ component is thus enough, and everything except the images costs a fourth. Error
 pixel: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with windows of 3 px.
 
 At pixels the flow is its best-fitting plane, plus the remainder interpolated bilinearly between the centres of known
-cells.
+cells. The trend ("course") of the flow, the departure from which the smoothness term penalises, lies on cells too.
 """
 
 import math
@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.tensors import finite
 
 CELL = 2  # px
 _NARROW = 0.01  # least determinant of the moments in a plane fit, relative to the squared trace; 1/4 for a disc
@@ -61,10 +60,15 @@ def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
 
     Non-finite values count as 0; a cell without a pixel inside is 0.
     """
-    if pixels.dtype == torch.float32 and kernels.serve(pixels, inside):
-        return kernels.flow_to_cells(pixels, inside)
-    share = halved(inside)
-    return halved(inside * torch.where(finite(pixels), pixels, 0.0)) / torch.where(share > 0, share, 1.0)
+    return _sums(inside * pixels.nan_to_num(0.0, 0.0, 0.0)) / _sums(inside).clamp_min(1)
+
+
+def _sums(fields: Tensor) -> Tensor:
+    """Return sums over 2 x 2 as `halved` means, by strides: on one core a third of the time of `avg_pool2d`."""
+    height, width = fields.shape[-2:]
+    even = functional.pad(fields, (0, width % 2, 0, height % 2)) if height % 2 or width % 2 else fields
+    rows = even[..., ::2, :] + even[..., 1::2, :]
+    return rows[..., ::2] + rows[..., 1::2]
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
@@ -148,3 +152,19 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
             total = total + weights[k] * (wide.narrow(dim, k, length) + wide.narrow(dim, 2 * half - k, length))
         fields = total
     return fields
+
+
+COURSE_WINDOW = window(9)  # cells of 4 px
+
+
+def course(flow: Tensor, known: Tensor) -> Tensor:
+    """Return the trend (B, 2, h, w) of a flow on cells, of which some are known (B, 1, h, w), 1 or 0.
+
+    It is the best-fitting plane, plus planes fitted to the remainder around every position, in two successive boxes of
+    36 px.
+    """
+    whole = plane_of(flow, known).at(*places(flow))
+    share = halved(known)
+    x, y = places(share)
+    around = planes(integrated(moments(share, halved(known * (flow - whole)), x, y), COURSE_WINDOW))
+    return whole + magnified(around.at(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]

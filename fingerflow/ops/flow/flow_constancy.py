@@ -7,7 +7,7 @@ less, shorter ones and noise more.
 """
 
 import math
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -21,12 +21,6 @@ _PERIOD = 15.0  # px, of ridges
 LEFT_BY_NOISE = {"brightness": 0.42, "gradient": 0.84}
 # Eigenvalues of J for noise alone, relative to those of brightness.
 NOISE_OF_TENSOR = {"brightness": 1.0, "gradient": 5.9}
-
-
-def check_constancy(constancy: str) -> None:
-    """Raise ValueError unless `constancy` is "brightness" or "gradient"."""
-    if constancy not in get_args(Constancy):
-        raise ValueError(f"constancy must be one of {get_args(Constancy)}, not {constancy!r}")
 
 
 def channels(coefficients: Tensor, constancy: Constancy) -> Tensor:

@@ -15,14 +15,13 @@ Factors are chosen so that the data weight is 1 for a mean squared residual equa
 weight is 1 for zero departure.
 """
 
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.flow import Left
-from fingerflow.ops.flow.flow_cells import CELL
-from fingerflow.ops.flow.flow_course import course
+from fingerflow.ops.flow.flow_cells import CELL, course
 from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 
 Penalty = Literal["quadratic", "charbonnier"]
@@ -34,12 +33,6 @@ _DATA_SCALE = 2.0
 # more on ridges.
 _EDGE_SCALE = 0.1
 _TINY = 1e-12
-
-
-def check_penalty(penalty: str) -> None:
-    """Raise ValueError unless `penalty` is "quadratic" or "charbonnier"."""
-    if penalty not in get_args(Penalty):
-        raise ValueError(f"penalty must be one of {get_args(Penalty)}, not {penalty!r}")
 
 
 def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:

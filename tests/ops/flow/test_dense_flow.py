@@ -9,34 +9,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from bench.suites.flow import ridges
 from fingerflow.ops import dense_flow
-from fingerflow.ops.flow import flow_descent, flow_multigrid
-from fingerflow.ops.flow.dense_flow import Flow, _sampled, find_flow, prepare_flow
+from fingerflow.ops.flow import flow_multigrid
+from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
+from fingerflow.ops.flow.flow_constancy import Constancy
 from fingerflow.ops.flow.flow_penalty import Penalty
 
 HEIGHT, WIDTH = 128, 160
 Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-
-
-def texture(seed: int = 3, waves: int = 200) -> Motion:
-    """Ridges of all directions with periods of 9 to 22 px: grey levels at real positions."""
-    generator = torch.Generator().manual_seed(seed)
-    period, angle, phase = torch.rand(3, waves, generator=generator, dtype=torch.float64)
-    period, angle, phase = 9 + 13 * period, 2 * math.pi * angle, 2 * math.pi * phase
-    along = 2 * math.pi / period * torch.stack((angle.cos(), angle.sin()))
-
-    def grey(x: Tensor, y: Tensor) -> Tensor:
-        total = torch.zeros_like(x)
-        for right, down, begin in zip(*along.tolist(), phase.tolist(), strict=True):
-            total += torch.cos(right * x + down * y + begin)
-        return 110 + 35 * total / math.sqrt(waves / 2)
-
-    return grey
-
-
-GREY = texture()
+GREY = ridges(200)
 PENALTIES = pytest.mark.parametrize("penalty", ["quadratic", "charbonnier"])
+CONSTANCIES = pytest.mark.parametrize("constancy", ["brightness", "gradient"])
 
 
 def grid(shape: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple[Tensor, Tensor]:
@@ -77,10 +61,11 @@ def errors(found: Tensor, truth: Tensor, border: int = 0) -> Tensor:
     return apart[:, border : apart.shape[1] - border, border : apart.shape[2] - border]
 
 
+@CONSTANCIES
 @PENALTIES
-def test_no_motion_is_exactly_zero(penalty: Penalty) -> None:
+def test_no_motion_is_exactly_zero(penalty: Penalty, constancy: Constancy) -> None:
     image = photograph(pair(wave, 2.0)[0])
-    assert (dense_flow(image, image, penalty=penalty).displacement == 0).all()
+    assert (dense_flow(image, image, penalty=penalty, constancy=constancy).displacement == 0).all()
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3), (1.5, 0.9), (-2.0, 1.7)])
@@ -251,6 +236,7 @@ def test_differentiable_in_both_images(penalty: Penalty) -> None:
         ({"roughness": 0.0}, "roughness above 0"),
         ({"warps": 0}, "warps must be at least 1"),
         ({"penalty": "huber"}, "penalty must be one of .*'charbonnier'.*, not 'huber'"),
+        ({"constancy": "colour"}, "constancy must be one of .*'gradient'.*, not 'colour'"),
         ({"first": torch.zeros(1, 1, 4, 4), "current": torch.zeros(1, 1, 4, 4)}, "at least 8 x 8"),
     ],
 )
@@ -260,95 +246,16 @@ def test_wrong_input_is_named(change: dict, said: str) -> None:
         dense_flow(**given)
 
 
-@pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
-@pytest.mark.parametrize("most", [0, 1, 2])
+@CONSTANCIES
 @PENALTIES
-def test_compiled_and_portable_flow_are_one(penalty: Penalty, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """1e-4 px, a hundredth of what noise leaves: sums are rounded otherwise, and every warp begins from the last."""
-    first, current, _ = pair(wave, noise=2.0, shape=(90, 131))
-    first, current = photograph(first), photograph(current)
-    kernels.limit_instruction_set(most)
-    try:
-        compiled = dense_flow(first, current, penalty=penalty)
-    finally:
-        kernels.limit_instruction_set(-1)
-    monkeypatch.setattr(kernels, "serve", lambda *_: False)
-    portable = dense_flow(first, current, penalty=penalty)
-    torch.testing.assert_close(compiled.displacement, portable.displacement, rtol=0, atol=1e-4, equal_nan=True)
-    torch.testing.assert_close(compiled.covariance, portable.covariance, rtol=1e-3, atol=1e-8, equal_nan=True)
-
-
-@pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
-@pytest.mark.parametrize("most", [0, 1, 2])
-@PENALTIES
-def test_compiled_and_portable_flow_are_one_where_little_is_known(
-    penalty: Penalty, most: int, monkeypatch: pytest.MonkeyPatch
+def test_the_portable_form_has_no_branch_on_data(
+    penalty: Penalty, constancy: Constancy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A batch, a mask with an island and single pixels, pixels that are not finite, light that changes, skin that
-    leaves the picture: one warp from what is given, to 1e-4 px; covariance and residual to a thousandth."""
-    shape = (67, 91)
-    first, current, truth = (
-        torch.cat(some) for some in zip(*(pair(wave, 2.0, seed, shape) for seed in (0, 1)), strict=True)
-    )
-    first, current = first.float(), 0.9 * current.float() + 5
-    first[0, 0, 30, 40] = math.nan
-    current[1, 0, 20:22, 50] = math.inf
-    x, y = grid(shape)
-    mask = (((x - 45) / 38) ** 2 + ((y - 30) / 24) ** 2 < 1) | ((x - 84).abs() + (y - 60).abs() < 4)
-    mask[::13, ::17] = True
-    initial = (0.8 * truth).float()
-    initial[:, 1, :, :12] -= 6.0  # leaves at the top
-    initial[0, 0, 5:9, 5:9] = math.nan
-
-    def found() -> Flow:
-        template = prepare_flow(first, mask.expand(2, 1, -1, -1), noise=torch.tensor([2.0, 2.0]))
-        return find_flow(template, current, initial, warps=1, penalty=penalty)
-
-    kernels.limit_instruction_set(most)
-    try:
-        compiled = found()
-    finally:
-        kernels.limit_instruction_set(-1)
-    monkeypatch.setattr(kernels, "serve", lambda *_: False)
-    portable = found()
-    assert compiled.displacement.isfinite().any()
-    assert compiled.displacement.isnan().any()
-    torch.testing.assert_close(compiled.displacement, portable.displacement, rtol=0, atol=1e-4, equal_nan=True)
-    for one, other in zip(compiled[1:], portable[1:], strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-6, equal_nan=True)
-
-
-@pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
-@pytest.mark.parametrize("most", [0, 1, 2])
-def test_compiled_warp_is_the_portable_one(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Displacements that jump between pixels, that are alike in runs, and that lead far outside."""
-    generator = torch.Generator().manual_seed(2)
-    coefficients = torch.randn(3, 1, 37, 61, generator=generator)
-    flow = 4 * torch.randn(3, 2, 37, 61, generator=generator)
-    flow[1] = torch.tensor([0.3, -1.0]).view(2, 1, 1)
-    flow[2] *= 1e4
-    kernels.limit_instruction_set(most)
-    try:
-        compiled = kernels.flow_warp(coefficients, flow)
-    finally:
-        kernels.limit_instruction_set(-1)
-    monkeypatch.setattr(kernels, "serve", lambda *_: False)
-    torch.testing.assert_close(compiled, _sampled(coefficients, flow), rtol=0, atol=3e-6)
-
-
-def with_few_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two of the coarsest level, compiled and portable, for what is exported: the other 18 are the same operators."""
-    for module in (flow_descent, flow_multigrid):
-        monkeypatch.setattr(module, "COARSEST_SWEEPS", 2)
-
-
-@PENALTIES
-def test_the_portable_form_has_no_branch_on_data(penalty: Penalty, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `torch.export` takes. With all sweeps these are 3,700 operators, for which the exporter to ONNX needs a
-    minute; by ONNX Runtime they give the same to 1e-6 px."""
-    with_few_sweeps(monkeypatch)
+    """What `torch.export` takes. With all 20 sweeps of the coarsest level, here 2, these are 3,700 operators, for which
+    the exporter to ONNX needs a minute; by ONNX Runtime they give the same to 1e-6 px."""
+    monkeypatch.setattr(flow_multigrid, "COARSEST_SWEEPS", 2)
     first, current, truth = pair(wave, noise=2.0, shape=(9, 12))
-    template = prepare_flow(photograph(first))
+    template = prepare_flow(photograph(first), constancy=constancy)
 
     class Found(torch.nn.Module):
         def forward(self, current: Tensor, initial: Tensor) -> tuple[Tensor, ...]:

@@ -6,14 +6,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.ops.flow.dense_flow import Flow, find_flow, prepare_flow
+from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
-
-Field = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
 
 ROUGHNESS = 0.2  # of `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # side of the window over which texture is measured: a period of ridges
@@ -82,19 +79,18 @@ class SkinFlow:
             expected: returns an initial displacement (H, W, 2) px where the flow is lost.
         """
         seen = np.isfinite(moved).all(-1)
-        beside = _Nearest(places[seen], moved[seen], self._mask.shape, self._apart)
+        beside = _of_nearest(places[seen], moved[seen], self._mask.shape)
         start = self._last + self._speed
         if self._unsure:
-            given = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
-            start = torch.where(start.isfinite(), start, given)
-        found, motion = self._found(image, start, 1, beside)
+            start = torch.where(start.isfinite(), start, _planes(expected(), start))
+        motion = self._found(image, start, 1, beside)
         if motion.explained < _FEWEST:
-            start = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
-            found, motion = _better((found, motion), self._found(image, start, 2, beside))
+            start = _planes(expected(), start)
+            motion = _better(motion, self._found(image, start, 2, beside))
             if motion.explained < _FEWEST and self._picture is not None:
                 self._renew(self._picture)
-                found, motion = _better((found, motion), self._found(image, start, 2, beside))
-        here = torch.from_numpy(motion.displacement.transpose(2, 0, 1)[None]).to(found.displacement)
+                motion = _better(motion, self._found(image, start, 2, beside))
+        here = _planes(motion.displacement, start)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
         # After a jump the speed is set to 0.
         step = (here - self._last).nan_to_num(0.0)
@@ -113,18 +109,17 @@ class SkinFlow:
         self._texture = np.sqrt(np.maximum(squares - mean * mean, 0))
         self._compared = mask
 
-    def _found(self, image: Tensor, start: Tensor, warps: int, beside: "_Nearest") -> tuple[Flow, FlowMotion]:
+    def _found(self, image: Tensor, start: Tensor, warps: int, beside: Field) -> FlowMotion:
         flow = find_flow(self.template, image, start, warps)
         displacement, residual = (one[0].permute(1, 2, 0).cpu().numpy() for one in (flow.displacement, flow.residual))
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
         of_noise = LEFT_BY_NOISE["brightness"] ** 2 * float(self.template.variance)
         left = np.sqrt(np.maximum(residual[..., 0] ** 2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
-        believed = np.isfinite(variance) & (left < 1) & beside.agrees(displacement)
+        contradicted = np.linalg.norm(displacement - beside, axis=-1) > self._apart  # False where no point is
+        believed = np.isfinite(variance) & (left < 1) & ~contradicted
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
-        return flow, FlowMotion(
-            shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained
-        )
+        return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
         """Update the reference: `picture`, whose motion is `_known`, warped back to the first picture."""
@@ -138,31 +133,24 @@ class SkinFlow:
         self.renewed, self._picture = self.renewed + 1, None
 
 
-def _better(one: tuple[Flow, FlowMotion], other: tuple[Flow, FlowMotion]) -> tuple[Flow, FlowMotion]:
-    return max(one, other, key=lambda found: found[1].explained)
+def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
+    return max(one, other, key=lambda motion: motion.explained)
 
 
-class _Nearest:
-    """Displacement of the nearest of some points (P, 2) px, at every pixel."""
+def _planes(field: Field, like: Tensor) -> Tensor:
+    """Return a field (H, W, 2) as a tensor (1, 2, H, W)."""
+    return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
-    def __init__(self, places: Field, moved: Field, shape: tuple[int, ...], apart: float) -> None:
-        self._apart, self._moved = apart, moved
-        self._number: NDArray[np.intp] | None = None
-        if len(places):
-            empty = np.ones(shape, np.uint8)
-            column, row = np.clip(np.rint(places).astype(int), 0, np.array(shape)[::-1] - 1).T
-            empty[row, column] = 0
-            # Labels number the zero pixels by rows; of points in one pixel, the last one is used.
-            _, label = cv2.distanceTransformWithLabels(
-                empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-            )
-            of_label = np.zeros(int(label.max()) + 1, np.intp)
-            of_label[label[row, column]] = np.arange(len(places))
-            self._number = of_label[label]
 
-    def agrees(self, displacement: Field) -> Mask:
-        """Return where (H, W) a displacement (H, W, 2) px agrees with the nearest point; True without points."""
-        if self._number is None:
-            return np.ones(displacement.shape[:2], dtype=bool)
-        off = np.linalg.norm(displacement - self._moved[self._number], axis=-1)
-        return np.asarray(off <= self._apart)
+def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
+    """Return at every pixel the displacement (H, W, 2) of the nearest of points (P, 2) px; NaN without points."""
+    if not len(places):
+        return np.full((*shape, 2), np.nan, np.float32)
+    empty = np.ones(shape, np.uint8)
+    column, row = np.clip(np.rint(places).astype(int), 0, np.array(shape)[::-1] - 1).T
+    empty[row, column] = 0
+    # Labels number the zero pixels by rows; of points in one pixel, the last one is used.
+    _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
+    of_label = np.zeros((int(label.max()) + 1, 2), np.float32)
+    of_label[label[row, column]] = moved
+    return np.asarray(of_label[label])

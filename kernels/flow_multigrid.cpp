@@ -1,19 +1,34 @@
-// Dense flow: multigrid V-cycles, and warping of images (fingerflow/ops/flow/flow_descent.py, dense_flow.py).
+// Dense flow: levels and V-cycles of the multigrid (fingerflow/ops/flow/flow_multigrid.py).
 // Solves (T + L) step = pull - L (flow - course) for the 2-vector step of each cell: T is the structure tensor, L the
 // Laplacian weighted by the edges, and the course a locally fitted plane. Damped block-Jacobi sweeps smooth each level;
-// residuals are averaged over 2 x 2 cells to the next one, and corrections interpolated back.
-// Layout: planes of floats, row-major; a vector field is a plane of u and one of v. Each level's two fields lie behind
-// those of the finer level in the caller's workspace. Threads share the rows of a plane (flow_pieces.h).
+// residuals are averaged over 2 x 2 cells to the next one, and corrections interpolated back. A coarser level averages
+// tensors over 2 x 2 cells; its edge is 1/8 of the sum of the two edges across a border. Each level stores the inverses
+// of its diagonal blocks, (T + sum of edges)^-1.
+// Layout: planes of floats, row-major; a vector field is a plane of u and one of v, a symmetric tensor three of xx, xy,
+// yy. `right` is one column narrower, `down` one row lower than a plane. Each level's two fields lie behind those of the
+// finer level in the caller's workspace. Threads share the rows of a plane (flow_pieces.h).
 #include <algorithm>
 #include <memory>
 
 #include "flow_course.h"
+#include "flow_multigrid_rows.h"
 #include "flow_pieces.h"
-#include "flow_rows.h"
 #include "interface.h"
 
 namespace fingerflow {
 namespace {
+
+// The level of one image of a batch.
+FlowLevel of_image(const FlowLevel& level, std::int64_t image) {
+    const std::int64_t height = level.height, width = level.width, cells = height * width;
+    return {level.tensor + 3 * cells * image,
+            level.right + height * (width - 1) * image,
+            level.down + (height - 1) * width * image,
+            level.inverse + 3 * cells * image,
+            level.inside + cells * image,
+            height,
+            width};
+}
 
 struct Cycle {
     const FlowLevel* levels;
@@ -75,17 +90,7 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
     std::fill(zeros, zeros + width, 0.0f);
     std::unique_ptr<FlowLevel[]> levels(new FlowLevel[static_cast<std::size_t>(given->count)]);
     for (std::int64_t image = 0; image < given->batch; ++image) {
-        for (std::int64_t k = 0; k < given->count; ++k) {
-            const fingerflow_flow_level& one = given->levels[k];
-            const std::int64_t cells = one.height * one.width;
-            levels[static_cast<std::size_t>(k)] = {one.tensor + 3 * cells * image,
-                                                   one.right + one.height * (one.width - 1) * image,
-                                                   one.down + (one.height - 1) * one.width * image,
-                                                   one.inverse + 3 * cells * image,
-                                                   one.inside + cells * image,
-                                                   one.height,
-                                                   one.width};
-        }
+        for (std::int64_t k = 0; k < given->count; ++k) levels[static_cast<std::size_t>(k)] = of_image(given->levels[k], image);
         const Cycle cycle{levels.get(), given->count, zeros, given->sweeps, given->coarsest, given->damping, threads};
         const float *const pull = given->pull + 2 * plane * image, *const from = given->flow + 2 * plane * image;
         const float* const known = given->known + plane * image;
@@ -117,15 +122,18 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
     }
 }
 
-void fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch, std::int64_t height,
-                          std::int64_t width, int threads) {
+void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads) {
     using namespace fingerflow;
-    const std::int64_t plane = height * width;
-    for (std::int64_t image = 0; image < batch; ++image) {
-        const float *u = flow + 2 * plane * image, *v = u + plane;
-        for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
-            FINGERFLOW_PICK(flow_warp_row)
-            (coefficients + plane * image, height, width, u + y * width, v + y * width, values + plane * image + y * width, y);
-        });
-    }
+    const std::int64_t widest = given->levels[0].width;
+    auto* const zeros = static_cast<float*>(workspace<Keeper::kCaller>(static_cast<std::size_t>(widest) * sizeof(float)));
+    std::fill(zeros, zeros + widest, 0.0f);
+    for (std::int64_t image = 0; image < given->batch; ++image)
+        for (std::int64_t k = 0; k < given->count; ++k) {
+            const FlowLevel level = of_image(given->levels[k], image);
+            for_rows(level.height, level.width, 1, threads, [&](std::int64_t y, float*) { FINGERFLOW_PICK(flow_inverse_row)(level, zeros, y); });
+            if (k + 1 == given->count) break;
+            const FlowLevel coarser = of_image(given->levels[k + 1], image);
+            for_rows(coarser.height, 4 * coarser.width, 4 * level.width, threads,
+                     [&](std::int64_t y, float* memory) { FINGERFLOW_PICK(flow_coarser_row)(level, coarser, memory, y); });
+        }
 }

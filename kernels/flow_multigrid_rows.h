@@ -1,18 +1,16 @@
-// Row loops of the multigrid of dense flow, A = J + L with tensor J and Laplacian L, and of warping (flow.cpp).
+// Row loops of the multigrid of dense flow, A = J + L with tensor J and Laplacian L (flow_multigrid.cpp).
 #pragma once
 
 #include <cstdint>
 
 #include "instruction_sets.h"
+#include "interface.h"
 
 namespace fingerflow {
 
 // Operator on height x width cells: tensor and inverse are three planes, right (height, width - 1), down
 // (height - 1, width).
-struct FlowLevel {
-    const float *tensor, *right, *down, *inverse, *inside;
-    std::int64_t height, width;
-};
+using FlowLevel = fingerflow_flow_level;
 
 // A field of two planes.
 struct FlowField {
@@ -22,6 +20,10 @@ struct FlowField {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
+    // Writes row y of (J + sum of edges)^-1, 0 where it is singular.
+    void flow_inverse_row(const FlowLevel& level, const float* zeros, std::int64_t y);
+    // Writes row y of tensor, edges and inside of the coarser level. `memory` has space for 4 rows of the finer one.
+    void flow_coarser_row(const FlowLevel& level, const FlowLevel& coarser, float* memory, std::int64_t y);
     // First sweep from 0: to = damping inverse r.
     void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y);
     // One sweep: to = from + damping inverse (r - A from).
@@ -38,9 +40,6 @@ FINGERFLOW_FOR_EACH_SET(
                          float* memory, std::int64_t y);
     // Adds a row of a cycle's step to the sum of all steps (or starts it) and to the flow.
     void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved);
-    // Row y of the spline of coefficients (height, width) at (x + u, y + v), the border repeated.
-    void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v,
-                       float* values, std::int64_t y);
 )
 // clang-format on
 

@@ -1,11 +1,8 @@
 // build: each instruction set, fused
-// Row loops of flow.cpp: the operator T + L, damped block-Jacobi sweeps, transfers between levels, and warping.
-// L u at a cell: sum over its four neighbours of edge * (u - u_neighbour). Warping evaluates the cubic B-spline of the
-// coefficients with 4 x 4 taps.
-// Layout: one cell or pixel of a row a lane; the two ends of a row, which lack a neighbour, are computed separately.
-#include "flow_rows.h"
-
-#include <math.h>
+// Row loops of flow_multigrid.cpp: the operator T + L, levels of it, damped block-Jacobi sweeps, and transfers.
+// L u at a cell: sum over its four neighbours of edge * (u - u_neighbour).
+// Layout: one cell of a row a lane; the two ends of a row, which lack a neighbour, are computed separately.
+#include "flow_multigrid_rows.h"
 
 #include "lanes.h"
 
@@ -69,6 +66,58 @@ inline void along_row(const Stencil& s, std::int64_t width, const Work& work) {
 }
 
 }  // namespace
+
+void flow_inverse_row(const FlowLevel& level, const float* zeros, std::int64_t y) {
+    const std::int64_t width = level.width, plane = level.height * width, at = y * width;
+    const float *FINGERFLOW_RESTRICT xx = level.tensor + at, *FINGERFLOW_RESTRICT xy = xx + plane, *FINGERFLOW_RESTRICT yy = xy + plane;
+    const float* FINGERFLOW_RESTRICT right = level.right + y * (width - 1);
+    const float *FINGERFLOW_RESTRICT up = y > 0 ? level.down + at - width : zeros, *FINGERFLOW_RESTRICT down = y + 1 < level.height ? level.down + at : zeros;
+    float *FINGERFLOW_RESTRICT to_xx = level.inverse + at, *FINGERFLOW_RESTRICT to_xy = to_xx + plane, *FINGERFLOW_RESTRICT to_yy = to_xy + plane;
+    const auto cell = [&](std::int64_t x, float before, float after) {
+        const float degree = ((before + after) + up[x]) + down[x];
+        const float a = xx[x] + degree, b = xy[x], c = yy[x] + degree, determinant = a * c - b * b;
+        const float by = determinant > 1e-6f * ((a + c) * (a + c)) ? 1 / determinant : 0.0f;
+        to_xx[x] = c * by;
+        to_xy[x] = -b * by;
+        to_yy[x] = a * by;
+    };
+    cell(0, 0.0f, width > 1 ? right[0] : 0.0f);
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 1; x < width - 1; ++x) cell(x, right[x - 1], right[x]);
+    if (width > 1) cell(width - 1, right[width - 2], 0.0f);
+}
+
+void flow_coarser_row(const FlowLevel& level, const FlowLevel& coarser, float* memory, std::int64_t y) {
+    const std::int64_t width = level.width, plane = level.height * width, area = coarser.height * coarser.width, count = coarser.width;
+    const bool two = 2 * y + 1 < level.height;
+    const std::int64_t at = 2 * y * width, next = two ? width : 0;
+    const float share = two ? 1.0f : 0.0f;  // of the second row
+    // Cells beyond the border count as 0.
+    const auto means = [&](const float* from, float* line, float* to) {
+        const float *FINGERFLOW_RESTRICT one = from + at, *FINGERFLOW_RESTRICT other = one + next;
+        float *FINGERFLOW_RESTRICT sum = line, *FINGERFLOW_RESTRICT mean = to + y * count;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) sum[x] = one[x] + share * other[x];
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width / 2; ++x) mean[x] = (sum[2 * x] + sum[2 * x + 1]) / 4;
+        if (width % 2) mean[count - 1] = sum[width - 1] / 4;
+    };
+    for (int k = 0; k < 3; ++k) means(level.tensor + k * plane, memory + k * width, coarser.tensor + k * area);
+    means(level.inside, memory + 3 * width, coarser.inside);
+    float* FINGERFLOW_RESTRICT inside = coarser.inside + y * count;
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < count; ++x) inside[x] = inside[x] > 0 ? 1.0f : 0.0f;
+    const float *FINGERFLOW_RESTRICT one = level.right + 2 * y * (width - 1), *FINGERFLOW_RESTRICT other = one + (two ? width - 1 : 0);
+    float* FINGERFLOW_RESTRICT right = coarser.right + y * (count - 1);
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < count - 1; ++x) right[x] = (one[2 * x + 1] + share * other[2 * x + 1]) / 8;
+    if (y + 1 == coarser.height) return;
+    const float* FINGERFLOW_RESTRICT below = level.down + (2 * y + 1) * width;
+    float* FINGERFLOW_RESTRICT down = coarser.down + y * count;
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < width / 2; ++x) down[x] = (below[2 * x] + below[2 * x + 1]) / 8;
+    if (width % 2) down[count - 1] = below[width - 1] / 8;
+}
 
 void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y) {
     const std::int64_t width = level.width, plane = level.height * width, at = y * width;
@@ -183,78 +232,10 @@ void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const Flo
 void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved) {
     const float* FINGERFLOW_RESTRICT by = step;
     float *FINGERFLOW_RESTRICT all = sum, *FINGERFLOW_RESTRICT to = moved;
-    if (first) {
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) {
-            all[x] = by[x];
-            to[x] += by[x];
-        }
-        return;
-    }
     FINGERFLOW_INDEPENDENT
     for (std::int64_t x = 0; x < width; ++x) {
-        all[x] += by[x];
+        all[x] = (first ? 0.0f : all[x]) + by[x];
         to[x] += by[x];
-    }
-}
-
-namespace {
-
-// Weights of the cubic B-spline at a fraction of a pixel.
-inline void weights_of(float fraction, float (&weights)[4]) {
-    const float rest = 1 - fraction, square = fraction * fraction, rest_square = rest * rest;
-    weights[0] = rest_square * rest / 6;
-    weights[1] = 2.0f / 3 + square * (fraction / 2 - 1);
-    weights[2] = 2.0f / 3 + rest_square * (rest / 2 - 1);
-    weights[3] = square * fraction / 6;
-}
-
-inline std::int64_t within(std::int64_t value, std::int64_t count) { return value < 0 ? 0 : value < count ? value : count - 1; }
-
-}  // namespace
-
-void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v, float* values,
-                   std::int64_t y) {
-    const float farthest = 1e6f;  // px, far outside any image
-    for (std::int64_t begin = 0, end; begin < width; begin = end) {
-        // A run of pixels whose displacements have the same integer part: their taps are contiguous.
-        const float whole_u = floorf(u[begin]), whole_v = floorf(v[begin]);
-        for (end = begin + 1; end < width && u[end] >= whole_u && u[end] < whole_u + 1 && v[end] >= whole_v && v[end] < whole_v + 1;) ++end;
-        const auto right = static_cast<std::int64_t>(fminf(fmaxf(whole_u, -farthest), farthest)) - 1;
-        const auto below = static_cast<std::int64_t>(fminf(fmaxf(whole_v, -farthest), farthest)) - 1;
-        const float* lines[4];
-        for (int k = 0; k < 4; ++k) lines[k] = coefficients + within(y + below + k, height) * width;
-        // The range of the run whose taps all lie in the image.
-        const std::int64_t first = begin + right < 0 ? (-right < end ? -right : end) : begin;
-        const std::int64_t limit = width - 3 - right, last = limit < end ? (limit > first ? limit : first) : end;
-        const auto slowly = [&](std::int64_t from, std::int64_t to) {
-            for (std::int64_t x = from; x < to; ++x) {
-                float across[4], down[4], value = 0;
-                weights_of(u[x] - whole_u, across);
-                weights_of(v[x] - whole_v, down);
-                for (int k = 0; k < 4; ++k) {
-                    float line = 0;
-                    for (int j = 0; j < 4; ++j) line += across[j] * lines[k][within(x + right + j, width)];
-                    value += down[k] * line;
-                }
-                values[x] = value;
-            }
-        };
-        slowly(begin, first);
-        const float *FINGERFLOW_RESTRICT l0 = lines[0] + right, *FINGERFLOW_RESTRICT l1 = lines[1] + right;
-        const float *FINGERFLOW_RESTRICT l2 = lines[2] + right, *FINGERFLOW_RESTRICT l3 = lines[3] + right;
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = first; x < last; ++x) {
-            float a[4], d[4];
-            weights_of(u[x] - whole_u, a);
-            weights_of(v[x] - whole_v, d);
-            const float line0 = a[0] * l0[x] + a[1] * l0[x + 1] + a[2] * l0[x + 2] + a[3] * l0[x + 3];
-            const float line1 = a[0] * l1[x] + a[1] * l1[x + 1] + a[2] * l1[x + 2] + a[3] * l1[x + 3];
-            const float line2 = a[0] * l2[x] + a[1] * l2[x + 1] + a[2] * l2[x + 2] + a[3] * l2[x + 3];
-            const float line3 = a[0] * l3[x] + a[1] * l3[x + 1] + a[2] * l3[x + 2] + a[3] * l3[x + 3];
-            values[x] = d[0] * line0 + d[1] * line1 + d[2] * line2 + d[3] * line3;
-        }
-        slowly(last, end);
     }
 }
 
