@@ -12,7 +12,9 @@ from torch import Tensor
 
 from fingerflow import ops
 from fingerflow.kernels import tensors as kernels
-from tests.embedded import CASES, POINTS, expected, scene, tensors_of, without_a_case
+from fingerflow.ops.tracking.track_points import in_passes
+from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
+from tests.kernels.kernel_calls import Call, call, kernel_calls
 
 pytestmark = pytest.mark.long
 
@@ -86,53 +88,23 @@ def test_derivatives_are_those_of_the_op() -> None:
             torch.testing.assert_close(found, derivative, rtol=1e-5, atol=1e-6)
 
 
-def of_kernels() -> dict[str, Callable[[], object]]:
+def of_kernels() -> dict[str, Call]:
     """Calls of ops of torch's own, by their names."""
-    first, second, points, moved = scene()
-    own = torch.ops.fingerflow
-    mask, light = first > 100, torch.full_like(first[:1], 200, dtype=torch.float32)
-    one = torch.ones(2)
-    covariance = torch.eye(2).expand(2, POINTS, 2, 2).flatten(2)
-    templates = kernels.prepare_templates(first, points, None, one, 11, True, 0.0) if kernels.serve() else ()
-    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
-    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
-    return {
-        "median": lambda: check(own.median, first, 5),
-        "real_contact_mask": lambda: check(own.real_contact_mask, first, light, 0 * light, one / 2, 3),
-        "histogram": lambda: check(own.histogram, first, mask, None, 256),
-        "dilate": lambda: check(own.dilate, mask, [0, 1, 0], False),
-        "fit_ellipse": lambda: check(own.fit_ellipse, mask),
-        "apparent_contact": lambda: check(own.apparent_contact, mask, 8, 4),
-        "corners": lambda: check(own.corners, first, None, one, **corners),
-        "prepare_templates": lambda: check(own.prepare_templates, first, points, None, one, 11, True, 0.0),
-        "find_templates": lambda: check(
-            own.find_templates, list(templates), second, points, None, None, 8, 0.0, 1.0, 0.5
-        ),
-        "find_pairs": lambda: check(
-            own.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5
-        ),
-        **{
-            f"in_passes of {one.dtype}": lambda one=one: check(
-                own.in_passes,
-                *(one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5),
-            )
-            for one in (first.float(), first.double())
-        },
-        "sample_windows": lambda: check(
-            own.sample_windows, first, torch.zeros(POINTS, dtype=torch.int64), points[0], torch.ones(POINTS, 2, 2), 9, 3
-        ),
-        "local_gradients": lambda: check(own.local_gradients, points, moved, points, covariance, **fits),
-        "local_gradients without noise": lambda: check(own.local_gradients, points, moved, points, None, **fits),
+    first, second, points, _ = scene()
+    passes = {
+        f"in_passes of {one.dtype}": call(
+            in_passes, one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5
+        )
+        for one in (first.float(), first.double())
     }
-
-
-def check(op: torch._ops.OpOverloadPacket, *arguments: object, **settings: object) -> None:
-    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
-    torch.library.opcheck(op, arguments, settings, test_utils=tests)
+    own = {name: one for name, one in kernel_calls().items() if one.function in vars(kernels).values()}
+    return {**own, **passes}
 
 
 @needs_kernels
-@pytest.mark.parametrize("name", of_kernels())
+@pytest.mark.parametrize("name", of_kernels() if kernels.serve() else ())
 def test_shapes_and_schema_are_true(name: str) -> None:
+    function, arguments, settings = of_kernels()[name]
+    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
     with torch.no_grad():
-        of_kernels()[name]()
+        torch.library.opcheck(getattr(torch.ops.fingerflow, function.__name__), arguments, settings, test_utils=tests)
