@@ -16,7 +16,6 @@ from fingerflow.kernels import block_means, contact_frames, deformation, library
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
-from fingerflow.ops.fields.triangle_strain import triangle_strain
 from tests.embedded import scene
 
 
@@ -43,7 +42,7 @@ def in_tensors(result: Any) -> Any:
 
 
 def kernel_calls() -> dict[str, Call]:
-    """By the name of the function, or of the op that reaches it."""
+    """By the name of the kernel, or of the op that reaches it."""
     first, second, points, moved = scene()
     tall = first.repeat(1, 1, 4, 1)
     mask, covered = first > 110, tall > 110
@@ -54,6 +53,7 @@ def kernel_calls() -> dict[str, Call]:
     templates = list(kernels.prepare_templates(first, points, None, one, 11, True, 0.0))
     corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
+    ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # of flow, whose cells are a fourth
     moving = wide.expand(-1, 2, -1, -1) / 100
     cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
@@ -66,9 +66,11 @@ def kernel_calls() -> dict[str, Call]:
 
     return {
         "median": call(kernels.median, tall, 5),
+        "normalize": call(kernels.normalize, tall, light, 0 * light, one[:1]),
         "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
         "light_gain": call(kernels.light_gain, (0.9 * light).byte().repeat(2, 1, 1, 1), light, 0 * light, 8),
         "histogram": call(kernels.histogram, tall, covered, None, 256),
+        "otsu_threshold": call(kernels.otsu_threshold, torch.arange(512).reshape(2, 256), -1.0, 255.0),
         "dilate": call(kernels.dilate, covered, [0, 1, 0], False),
         "fill_holes": call(kernels.fill_holes, covered),
         "largest_component": call(kernels.largest_component, covered),
@@ -82,13 +84,22 @@ def kernel_calls() -> dict[str, Call]:
         "prepare_templates": call(kernels.prepare_templates, first, points, None, one, 11, True, 0.0),
         "find_templates": call(kernels.find_templates, templates, second, points, None, None, 8, 0.0, 1.0, 0.5),
         "find_pairs": call(kernels.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5),
+        "search_windows": call(
+            kernels.search_windows, light, light, torch.zeros(rows).long(), points[0], points[0], 31, 3
+        ),
         "sample_windows": call(
             kernels.sample_windows, tall, torch.zeros(rows).long(), points[0], torch.eye(2).repeat(rows, 1, 1), 9, 1
         ),
         "local_gradients": call(kernels.local_gradients, points, moved, points, covariance.flatten(2), **fits),
         "local_gradients without noise": call(kernels.local_gradients, points, moved, points, None, **fits),
-        "triangle_strain": call(
-            triangle_strain, points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
+        "medians_over_area": call(
+            kernels.area_medians, points[:1], moved, ellipses, covariance, None, None, None, measure=0, radius=30.0
+        ),
+        "strain_of_triangles": call(
+            *(kernels.triangle_strain, triangles, torch.ones(3, 3, 2), torch.ones(3, 3, 3), area, area, moved),
+            *(covariance, torch.ones(2, 3, dtype=torch.bool)),
+            measure=0,
+            stiffness=(1.0, 1.0, 1.0),
         ),
         "skin_chain": call(chain),
         # By themselves: where dense flow reaches them, its threads are there already.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from tests.kernels.test_kernel_search import skin, starts
 
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import DeformationGraph
@@ -18,7 +19,6 @@ from fingerflow.ops.tracking import outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
 from tests.graphs.test_track_graph import grid, picture
-from tests.kernels.test_kernel_search import skin, starts
 from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
 
@@ -119,18 +119,6 @@ def test_arrays_that_are_views() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_wrong_arrays_of_corrections_are_named() -> None:
-    given: dict[str, Any] = dict(
-        zip(("start", "points", "covariance", "numbers", "inverse_warp"), some_points(9, 2), strict=True)
-    )
-    for name, array in given.items():
-        for wrong in (array.astype(np.float64), array[..., :1]):
-            with pytest.raises(ValueError, match=f"{name} is"):
-                deformation.correct_points(**{**given, name: wrong}, window=25, gauge_px=120.0)
-    with pytest.raises(ValueError, match="gauge length of 0"):
-        deformation.correct_points(**given, window=25, gauge_px=0)
-
-
 def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.OutlierFlags:
     neighbours = native.find_neighbours(points[0].numpy(), gauge)
     return native.find_outliers(neighbours, moved.numpy(), deviation.contiguous().numpy())
@@ -180,21 +168,6 @@ def test_the_same_neighbours() -> None:
     np.testing.assert_array_equal(found.within[:, :count], expected.within[0].numpy())
     np.testing.assert_array_equal(found.x[:, :count], expected.offset[0, ..., 0].numpy())
     np.testing.assert_array_equal(found.y[:, :count], expected.offset[0, ..., 1].numpy())
-
-
-def test_wrong_arrays_of_outliers_are_named() -> None:
-    neighbours = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
-    moved, deviation = np.zeros((2, 700, 2), np.float32), np.ones((2, 700), np.float32)
-    with pytest.raises(ValueError, match="displacement is float64"):
-        native.find_outliers(neighbours, moved.astype(np.float64), deviation)
-    with pytest.raises(ValueError, match="position_std is"):
-        native.find_outliers(neighbours, moved, deviation[:1])
-    with pytest.raises(ValueError, match="600 points, and neighbours of 689 to 704"):
-        native.find_outliers(neighbours, moved[:, :600], deviation[:, :600])
-    with pytest.raises(ValueError, match="there are 700 points"):
-        native.find_outliers(neighbours._replace(number=neighbours.number + 9), moved, deviation)
-    with pytest.raises(ValueError, match="1 points have no neighbours"):
-        native.find_neighbours(np.zeros((1, 2), np.float32), 120.0)
 
 
 @pytest.mark.parametrize(("window", "radius"), [(25, 8), (21, 6), (9, 1), (15, 24)])
@@ -313,21 +286,6 @@ def test_points_of_views_and_of_equal_strength() -> None:
     strongest = first.points[first.response == first.response[0]]
     assert len(strongest) > 4
     np.testing.assert_array_equal(strongest, strongest[np.lexsort((strongest[:, 0], strongest[:, 1]))])
-
-
-def test_wrong_arrays_of_detection_are_named() -> None:
-    frame = PICTURES["small"]
-    mask = np.ones(frame.shape[2:], bool)
-    for given, message in (
-        ((frame.astype(np.float64), mask, 5), "float64"),
-        ((np.concatenate((frame, frame)), mask, 5), "2, 1, 20, 24"),
-        ((frame[..., :6], mask[:, :6], 5), "7 x 7 px"),
-        ((frame, mask[:, 1:], 5), "a mask of"),
-        ((frame, mask.astype(np.uint8), 5), "uint8"),
-        ((frame, mask, 0), "0 points"),
-    ):
-        with pytest.raises((TypeError, ValueError), match=message):
-            native.detect_points(*given, min_distance_px=6.0, window=15)
 
 
 def chosen(points: Array) -> set[tuple[float, float]]:

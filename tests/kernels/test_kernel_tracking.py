@@ -298,39 +298,3 @@ def test_compiled_templates_are_found_portably() -> None:
         rounds=1,
     )
     assert without_memory.points.shape == expected.points.shape
-
-
-def test_wrong_shapes_are_named() -> None:
-    image, points, variance = torch.zeros(1, 1, 40, 40), torch.zeros(1, 3, 2), torch.zeros(1)
-    for arguments, message in (
-        ((image.double(), points, None, variance, 9), "float64"),
-        ((image, points[..., :1], None, variance, 9), "points"),
-        ((image, points, torch.zeros(1, 3, 2), variance, 9), "inverse_warp"),
-        ((image, points, None, torch.zeros(2), 9), "variance"),
-        ((image, points, None, variance, 8), "window"),
-        ((image[..., :3], points, None, variance, 9), "frames"),
-    ):
-        with pytest.raises((TypeError, ValueError), match=message):
-            kernels.prepare_templates(*arguments, gain_offset=True, rounding=0.0)  # type: ignore[arg-type]
-    kept = kernels.prepare_templates(image, points, None, variance, 9, True, 0.0)
-    for change, message in (
-        ({"frames": image.double()}, "float64"),
-        ({"place": points[:, :2]}, "start"),
-        ({"speed": points[:, :2]}, "speed"),
-        ({"variance": torch.zeros(3)}, "variance"),
-        ({"templates": (kept[0], kept[1][..., :80], *kept[2:])}, "samples|window"),
-        ({"frames": torch.zeros(3, 1, 40, 40), "place": points.expand(2, -1, -1)}, "recordings"),
-    ):
-        given: dict[str, Any] = {
-            "templates": kept,
-            "frames": image,
-            "place": points,
-            "speed": None,
-            "variance": None,
-            "rounds": 1,
-            "rounding": 0.0,
-            "forward_backward_limit": 1.0,
-            "mismatch_limit": 0.1,
-        }
-        with pytest.raises((TypeError, ValueError), match=message):
-            kernels.find_templates(**{**given, **change})

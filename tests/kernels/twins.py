@@ -184,6 +184,17 @@ def contact_thresholds() -> Iterator[Call]:
         yield op, (*contact_frames(5, 130, 170, dtype, lights), None if lights == 1 else gain)
 
 
+def thresholds_of_hard_frames() -> Iterator[Call]:
+    """Smaller than windows and cells; empty glass, one grey level, no light and no frame."""
+    for shape, (median, stride) in product(SHAPES, ((3, 1), (15, 8), (5, 3))):
+        light = torch.full((1, 1, *shape[1:]), 250.0)
+        op = partial(contact_threshold, median_px=median, stride_px=stride)
+        yield op, (images(shape, torch.uint8, "two levels"), light, 0 * light)
+    frames, light, black = contact_frames(2, 64, 80, torch.uint8)
+    for some, lamp in ((frames[:0], light), (frames * 0 + 90, light), (frames, 0 * light), (frames[:1], light)):
+        yield contact_threshold, (some, lamp, black)
+
+
 def whole_frames(op: Callable[[Tensor], Tensor]) -> Iterator[Call]:
     """Of every kind; the rows of high frames are sampled. Some pixels are none."""
     shapes = ((1, 3, 3), (2, 3, 64), (1, 64, 3), (3, 33, 35), (0, 8, 8), (1, 200, 130), (2, 300, 400))
@@ -258,11 +269,11 @@ def corners() -> Iterator[Call]:
     yield partial(detect_corners, window=3, quality=0.0, noise=0.0), (texture(1, 1, 300, 400), 10**5, 1.0)
 
 
-def local_fits(dtype: torch.dtype, gauge: float) -> Iterator[Call]:
+def local_fits(dtype: torch.dtype, gauge: float, unit: float) -> Iterator[Call]:
     """Of one geometry for all frames and of their own; points, values and queries that are none or far away."""
 
     def fit(points: Tensor, values: Tensor, queries: Tensor, variance: Tensor | None) -> Any:
-        return local_gradients(points, values, queries, gauge_length=gauge, variance=variance)
+        return local_gradients(points * unit, values, queries * unit, gauge_length=gauge * unit, variance=variance)
 
     for batches, components, noise in (
         ((1, 1, 1), 2, "shared"),
@@ -286,6 +297,10 @@ def local_fits(dtype: torch.dtype, gauge: float) -> Iterator[Call]:
         values = random(1, few, 2).to(dtype)
         yield fit, (values, values, random(1, asked, 2, seed=3).to(dtype), values[..., 0])
     points, values = 10 * random(1, 300, 2).to(dtype), random(3, 300, 2, seed=2).to(dtype)
+    if dtype == torch.float64:
+        away, asked = points.clone(), 10 * random(1, 300, 2, seed=3).to(dtype)
+        away[0, :2], away[0, 2:6], asked[0, :5], asked[0, 5] = 1e6, -1e5, 1e6 + 0.5, -1e5
+        yield fit, (away, values, asked, None)
     variance, queries = random(3, 300, seed=3).to(dtype), 10 * random(1, 50, 2, seed=4).to(dtype)
     points[0, 3, 1], points[0, 4, 0], values[1, 10:30, 0], values[2] = torch.nan, torch.inf, torch.nan, torch.nan
     variance[0, 50:60], variance[0, 60:70], variance[1, 70] = -1.0, torch.inf, torch.nan
@@ -364,6 +379,7 @@ TWINS = {
     "real_contact_mask": Twin(contact_masks),
     "light_gain": Twin(gains, (1e-5, 0.0)),
     "contact_threshold": Twin(contact_thresholds, (0.0, 1e-4)),
+    "contact_threshold of hard frames": Twin(thresholds_of_hard_frames, (0.0, 1e-2)),
     "halved_image": Twin(partial(whole_frames, halved_image)),
     "spline_coefficients": Twin(partial(whole_frames, spline_coefficients)),
     "estimate_noise": Twin(partial(whole_frames, estimate_noise), (1e-5, 1e-7)),
@@ -372,10 +388,10 @@ TWINS = {
     "search_windows": Twin(searches, (0.0, 1e-2)),  # a start for the tracker, good to about a pixel
     "detect_corners": Twin(corners),
     **{
-        f"local_gradients {dtype} {gauge}": Twin(
-            partial(local_fits, dtype, gauge), by_name=of_fits(dtype, gauge / 2), in_double=True
+        f"local_gradients {dtype} {gauge * unit}": Twin(
+            partial(local_fits, dtype, gauge, unit), by_name=of_fits(dtype, gauge * unit / 2), in_double=True
         )
-        for dtype, gauge in product((torch.float32, torch.float64), (2.5, 40.0))
+        for dtype, gauge, unit in product((torch.float32, torch.float64), (2.5, 40.0), (1e-6, 1.0, 1e6))
     },
     "area_medians": Twin(partial(area_fields, False), (1e-4, 1e-4), AREA, in_double=True),
     # A position between two points, as far from both, may have the field of either: a rank more or less of 800.

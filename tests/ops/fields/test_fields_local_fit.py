@@ -175,6 +175,15 @@ def test_supports_that_determine_no_plane_are_nan_at_any_scale(support: list[lis
     assert fit.covariance.isnan().all()
 
 
+@pytest.mark.usefixtures("each_form")
+def test_points_on_the_rim_are_outside() -> None:
+    """Whole numbers have exact distances: the same points count, in any order of the sums."""
+    axis = torch.arange(40.0)
+    points = torch.cartesian_prod(axis, axis)[None]
+    inside = torch.cdist(points[0], points[0]).square().round() < 25
+    assert torch.equal(local_gradients(points, points, gauge_length=10.0).point_count[0], inside.sum(1))
+
+
 def test_the_number_of_points_that_is_asked_for() -> None:
     points = torch.tensor([[[-0.3, -0.3], [0.4, -0.3], [-0.2, 0.4], [0.3, 0.3], [0.0, 0.1]]], dtype=torch.float64)
     query = torch.zeros(1, 1, 2, dtype=torch.float64)
