@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from tests.kernels.test_kernel_search import skin, starts
 
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import DeformationGraph
@@ -19,6 +18,7 @@ from fingerflow.ops.tracking import outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
 from tests.graphs.test_track_graph import grid, picture
+from tests.kernels.twins import places_in_skin, skin
 from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
 
@@ -176,16 +176,16 @@ def test_the_same_search_both_ways(window: int, radius: int, instruction_set: in
     torch_threads(3)
     key, current = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
     index = torch.arange(40) % 2
-    guess = starts() + 0.3
+    guess = places_in_skin() + 0.3
     guess[0, 0], guess[1, 1], guess[2, 0] = torch.nan, torch.inf, 1e30
     for kinds in ((torch.float32, torch.float32), (torch.uint8, torch.uint16)):
         images = [one.clamp(0, 255).to(kind) for one, kind in zip((key, current), kinds, strict=True)]
-        expected = search_and_return(images[0], images[1], index, starts(), guess, window, radius, 1.0)
+        expected = search_and_return(images[0], images[1], index, places_in_skin(), guess, window, radius, 1.0)
         one, other = (image.numpy() for image in images)
         for given in ((one, other), (np.repeat(one, 2, axis=3)[..., ::2], np.repeat(other, 2, axis=2)[:, :, ::2])):
             found = native.search_and_return(
                 *given,
-                starts().numpy(),
+                places_in_skin().numpy(),
                 guess.numpy(),
                 window=window,
                 radius=radius,

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import reached
 from tests.kernels.twins import TWINS, Tolerance, Twin
 
@@ -63,9 +64,11 @@ def largest(twin: Twin) -> tuple[Callable[..., Any], tuple[Any, ...]]:
 
 @pytest.mark.parametrize("name", TWINS)
 def test_the_compiled_form_serves(name: str) -> None:
-    """Otherwise the portable form would be compared with itself."""
+    """Otherwise the portable form would be compared with itself, or NaN with NaN."""
     op, given = largest(TWINS[name])
     assert reached(lambda: op(*given))
+    for tensor in tensors_of(op(*given)):
+        assert tensor.isfinite().double().mean() > 0.3
 
 
 @pytest.mark.parametrize("name", TWINS)
@@ -84,6 +87,18 @@ def test_threads_and_strides_change_nothing(name: str, torch_threads: Callable[[
         lambda one: torch.nn.functional.pad(one, (3, 2))[..., 3:-2],
     ):
         assert_close(op(*changed(given, view)), expected)
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_frames_of_a_batch_do_not_know_each_other(name: str) -> None:
+    op, given = largest(TWINS[name])
+    sizes = {len(one) for one in tensors_of(given)} - {1}
+    if len(sizes) != 1 or "search" in name or "windows" in name:
+        pytest.skip("its tensors have no dimension of frames in common")
+    together = op(*given)
+    for k in range(max(sizes)):
+        alone = op(*changed(given, lambda one: one[k : k + 1] if len(one) > 1 else one))  # noqa: B023
+        assert_close(alone, changed(together, lambda one: one[k : k + 1]))  # noqa: B023
 
 
 @pytest.mark.parametrize("name", TWINS)

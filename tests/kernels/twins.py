@@ -30,6 +30,7 @@ from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.ops.tracking.search import search_windows
+from fingerflow.ops.tracking.track_points import track_points
 from fingerflow.ops.tracking.window_correlation import sample_windows
 from fingerflow.synthetic import RidgeTexture
 from tests.kernels.contact_frames import contact_frames
@@ -193,6 +194,7 @@ def thresholds_of_hard_frames() -> Iterator[Call]:
     frames, light, black = contact_frames(2, 64, 80, torch.uint8)
     for some, lamp in ((frames[:0], light), (frames * 0 + 90, light), (frames, 0 * light), (frames[:1], light)):
         yield contact_threshold, (some, lamp, black)
+    yield contact_threshold, contact_frames(5, 130, 170, torch.uint8)
 
 
 def whole_frames(op: Callable[[Tensor], Tensor]) -> Iterator[Call]:
@@ -217,11 +219,34 @@ def deformed_windows() -> Iterator[Call]:
         yield partial(sample_windows, window=25, step=step), (frames, torch.arange(60) % 2, places, warp)
 
 
-def skin(shift: tuple[float, float], seed: int, size: tuple[int, int] = (151, 190)) -> Tensor:
-    """Ridges moved by a shift, with noise, float32 (1, 1, H, W)."""
+def skin(
+    shift: tuple[float, float],
+    seed: int = 0,
+    size: tuple[int, int] = (151, 190),
+    *,
+    noise: float = 1.0,
+    deformation: Tensor | None = None,
+) -> Tensor:
+    """Ridges moved by a shift, with noise, float32 (1, 1, H, W); a deformation about the middle leads to undeformed
+    ones.
+    """
     y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in size), indexing="ij")
+    if deformation is not None:
+        middle = torch.tensor([size[1] / 2, size[0] / 2])
+        x, y = ((torch.stack((x, y), -1) - middle) @ deformation.double().T + middle).unbind(-1)
     light = RidgeTexture()((x - shift[0]) * 0.0325, (y - shift[1]) * 0.0325)
-    return (110 + 80 * light + torch.randn(size, generator=torch.Generator().manual_seed(seed))).float()[None, None]
+    grain = noise * torch.randn(size, generator=torch.Generator().manual_seed(seed))
+    return (110 + 80 * light + grain).float()[None, None]
+
+
+def skin_of_bytes(shift: tuple[float, float], seed: int = 0, deformation: Tensor | None = None) -> Tensor:
+    """`skin` of 150 x 190 px with noise of 2 grey levels, uint8."""
+    return skin(shift, seed, (150, 190), noise=2.0, deformation=deformation).round().clamp(0, 255).to(torch.uint8)
+
+
+def points_inside(batch: int = 1, count: int = 60) -> Tensor:
+    """Points (batch, count, 2) on no pixel, 30 px from the border of `skin_of_bytes` or more."""
+    return 30 + random(batch, count, 2, seed=3) * torch.tensor([130.0, 90.0])
 
 
 def places_in_skin(count: int = 40) -> Tensor:
@@ -239,6 +264,63 @@ def searches() -> Iterator[Call]:
         yield op, (blank, blank, torch.arange(40) % 2, start, guess)
         yield op, (*images, torch.zeros(0, dtype=torch.int64), start[:0], guess[:0])
         yield op, (*images, torch.arange(40) % 2, start, guess)
+
+
+WARPS = (
+    [[1.0, 0.0], [0.066, 1.0]],  # a vector of samples needs taps of five rows, or of six
+    [[1.0, 0.0], [0.07, 1.0]],
+    [[1.0, 0.01], [-0.066, 1.0]],
+    [[1.6, 0.0], [0.0, 0.7]],
+    [[0.6, 0.2], [0.1, 1.5]],
+    [[-1.0, 0.05], [0.02, 1.0]],  # mirrored
+    [[0.0, -1.0], [1.0, 0.0]],  # a quarter turn
+    [[0.0, 0.0], [0.0, 0.0]],  # none
+    [[1.0, 1.0], [1.0, 1.0]],
+    [[torch.nan, 0.0], [0.0, 1.0]],
+)
+FAR_OFF = [[torch.nan, 5.0], [torch.inf, 5.0], [-300.0, 20.0], [1e9, 1e9], [-3e38, 3e38], [3.0, 3.0], [188.0, 148.0]]
+
+
+def predicted(*given: Any, **settings: Any) -> Any:
+    """`track_points` with predictions and deformations as the last of its tensors."""
+    *frames_and_points, initial, warp = given
+    return track_points(*frames_and_points, initial=initial, warp=warp, **settings)
+
+
+def tracks() -> Iterator[Call]:
+    """Of any window, motion, deformation, contrast and kind of frames; with holes, and of points that are nowhere."""
+    first, second, points = skin_of_bytes((0, 0)), skin_of_bytes((0.6, -0.3), 1), points_inside()
+    for window, free in product((5, 15, 17, 21, 31, 33, 47), (False, True)):
+        yield partial(track_points, window=window, gain_offset=free), (first, second, points)
+    for motion, start in product(((0.0, 0.0), (0.95, 0.95), (2.5, -1.8), (4.4, -1.2)), (points, points.round())):
+        yield track_points, (first, skin_of_bytes(motion, 1), start)
+    for dtype in (torch.float64, torch.int32, torch.uint16, torch.float32):
+        yield track_points, (first.to(dtype), second.to(dtype), points)
+    near = torch.tensor([[[0.3, -0.2], [9.0, 4.5], [-8.2, 6.0], [3.4, -10.0], [-90.0, -70.0]]])
+    middle, still = torch.tensor([95.0, 75.0]), skin_of_bytes((0, 0), 1)
+    for matrix, window in product(map(torch.tensor, WARPS), (9, 21)):
+        guess = middle + near @ matrix.T + torch.tensor([0.2, -0.2])
+        given = skin_of_bytes((0, 0), deformation=matrix.nan_to_num()), still, middle + near
+        yield partial(predicted, window=window), (*given, guess, matrix.expand(1, 5, 2, 2))
+    leaning = torch.tensor([[1.05, 0.02], [-0.03, 0.97]]).expand(1, 60, 2, 2)
+    for far in (0.0, 0.7):
+        guess = points + torch.tensor([0.6 + far, -0.3])
+        yield partial(predicted, mismatch_limit=0.5), (first, second, points, guess, leaning)
+    # Steps by the template's structure are 1 / gain too long: Newton's are not.
+    for gain, warp in product((0.45, 2.1), (None, torch.eye(2).expand(1, 60, 2, 2))):
+        yield predicted, (first.float(), gain * skin_of_bytes((0.3, -0.2), 1).float(), points, None, warp)
+    # The backward check of a searched point begins where its own search ended.
+    for warp in (None, torch.tensor([[1.01, 0.01], [-0.01, 0.99]]).expand(1, 60, 2, 2)):
+        yield partial(predicted, search=12), (first, skin_of_bytes((9.3, -6.6), 1), points, None, warp)
+    nowhere = torch.tensor([FAR_OFF])
+    yield track_points, (first, second, nowhere)
+    guess = points[:, :7] + nowhere.nan_to_num(0.0, 1e30, -1e30)
+    yield predicted, (first, second, points[:, :7], guess, None)
+    one, other = first.float(), second.float()
+    one[..., 60, 70], other[..., 100, 120] = torch.nan, torch.inf
+    yield track_points, (one, other, points)
+    frames = [torch.cat([skin_of_bytes((0.2 * k * far, 0.1 * far), k) for k in range(3)]) for far in (0, 1)]
+    yield track_points, (*frames, points_inside(3))
 
 
 def corners() -> Iterator[Call]:
@@ -266,7 +348,7 @@ def corners() -> Iterator[Call]:
     for mask, border in product((masks, masks[:1], torch.zeros_like(masks)), (0, 1, 20, 1000)):
         yield partial(detect_corners, border=border), (texture(2, 1, 80, 90), 50, 4.0, mask)
     # More candidates than are sorted at once.
-    yield partial(detect_corners, window=3, quality=0.0, noise=0.0), (texture(1, 1, 300, 400), 10**5, 1.0)
+    yield partial(detect_corners, window=3, quality=0.0, noise=0.0), (texture(1, 1, 300, 400), 10**4, 1.0)
 
 
 def local_fits(dtype: torch.dtype, gauge: float, unit: float) -> Iterator[Call]:
@@ -386,6 +468,9 @@ TWINS = {
     # To what rounding of a place, 1e-5 px, is on slopes of 50 grey levels a px.
     "sample_windows": Twin(deformed_windows, (0.0, 2e-3), in_double=True),
     "search_windows": Twin(searches, (0.0, 1e-2)),  # a start for the tracker, good to about a pixel
+    # Positions of a few hundred px in float32 are 3e-5 px apart. The residual is a difference of sums of squares, a
+    # hundredth of them and less: float32 leaves some percent of it.
+    "track_points": Twin(tracks, (0.0, 1e-4), {"covariance": (2e-2, 2e-6)}),
     "detect_corners": Twin(corners),
     **{
         f"local_gradients {dtype} {gauge * unit}": Twin(
