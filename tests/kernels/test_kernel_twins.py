@@ -96,9 +96,14 @@ def test_frames_of_a_batch_do_not_know_each_other(name: str) -> None:
     if len(sizes) != 1 or "search" in name or "windows" in name:
         pytest.skip("its tensors have no dimension of frames in common")
     together = op(*given)
-    for k in range(max(sizes)):
-        alone = op(*changed(given, lambda one: one[k : k + 1] if len(one) > 1 else one))  # noqa: B023
-        assert_close(alone, changed(together, lambda one: one[k : k + 1]))  # noqa: B023
+    for number in range(max(sizes)):
+        frame = one_of(number)
+        assert_close(op(*changed(given, frame)), changed(together, frame))
+
+
+def one_of(number: int) -> Callable[[Tensor], Tensor]:
+    """What takes one frame of a batch; a tensor of one frame serves all."""
+    return lambda one: one[number : number + 1] if len(one) > 1 else one
 
 
 @pytest.mark.parametrize("name", TWINS)

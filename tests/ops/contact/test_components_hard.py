@@ -103,11 +103,3 @@ def test_hole_at_the_border_stays_open() -> None:
     mask = torch.ones(1, 1, 5, 5, dtype=torch.bool)
     mask[0, 0, 0:3, 2] = False
     assert torch.equal(fill_holes(mask), mask)
-
-
-def test_refusals() -> None:
-    for operation in (fill_holes, largest_component):
-        with pytest.raises(TypeError, match="float32"):
-            operation(torch.zeros(1, 1, 3, 3))
-        with pytest.raises(ValueError, match=r"\(3, 3\)"):
-            operation(torch.zeros(3, 3, dtype=torch.bool))

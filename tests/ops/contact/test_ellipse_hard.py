@@ -44,10 +44,3 @@ def test_circle_has_angle_zero() -> None:
 def test_empty_batch() -> None:
     ellipse = fit_ellipse(torch.zeros(0, 1, 5, 5, dtype=torch.bool))
     assert [tuple(part.shape) for part in ellipse] == [(0, 2), (0, 2), (0,), (0,)]
-
-
-def test_refusals() -> None:
-    with pytest.raises(TypeError, match="uint8"):
-        fit_ellipse(torch.zeros(1, 1, 3, 3, dtype=torch.uint8))
-    with pytest.raises(ValueError, match=r"\(3, 3\)"):
-        fit_ellipse(torch.zeros(3, 3, dtype=torch.bool))

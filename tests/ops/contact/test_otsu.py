@@ -1,6 +1,5 @@
 """Counts against NumPy, thresholds against OpenCV, separability against closed forms."""
 
-import math
 from pathlib import Path
 
 import cv2
@@ -102,31 +101,3 @@ def test_threshold_survives_export() -> None:
     exported = torch.export.export(Threshold(), (frames,))
     assert not any("bincount" in str(node.target) for node in exported.graph.nodes)
     assert torch.equal(exported.module()(frames.flip(0)), otsu_threshold(frames.flip(0)))
-
-
-def test_classes_of_two_gaussians() -> None:
-    generator = torch.Generator().manual_seed(10)
-    bright = torch.rand(1, 1, 400, 500, generator=generator) < 0.3
-    noise = torch.randn(1, 1, 400, 500, dtype=torch.float64, generator=generator)
-    frame = torch.where(bright, 10 + noise, -10 + 2 * noise)
-    separation = class_separation(frame, torch.zeros(1))
-    # 200,000 pixels: a standard error of 0.005 in the means, 0.001 in the fraction.
-    assert separation.fractions[0].tolist() == pytest.approx([0.7, 0.3], abs=0.005)
-    assert separation.means[0].tolist() == pytest.approx([-10, 10], abs=0.03)
-    assert separation.deviations[0].tolist() == pytest.approx([2, 1], abs=0.02)
-    between, within = 0.21 * 20**2, 0.7 * 4 + 0.3 * 1
-    assert separation.separability.item() == pytest.approx(between / (between + within), abs=0.002)
-
-
-@pytest.mark.parametrize(
-    ("draw", "separability"),
-    [
-        (lambda g: torch.randn(1, 1, 700, 700, generator=g), 2 / math.pi),
-        (lambda g: torch.rand(1, 1, 700, 700, generator=g), 0.75),
-    ],
-)
-def test_one_class_has_the_separability_of_its_shape(draw, separability: float) -> None:  # type: ignore[no-untyped-def]
-    frame = draw(torch.Generator().manual_seed(11))
-    threshold = otsu_threshold(frame, value_range=(-5, 5))
-    # Otsu cuts half a million values at their middle within a few bins of 10/256, where the maximum is flat.
-    assert class_separation(frame, threshold).separability.item() == pytest.approx(separability, abs=0.005)

@@ -108,11 +108,6 @@ def test_a_point_without_a_usable_variance_is_left_out(bad: float) -> None:
         torch.testing.assert_close(fit.covariance, rest.covariance, atol=1e-15, rtol=1e-10)
 
 
-def test_an_unknown_measure_is_refused_with_the_three_that_exist() -> None:
-    with pytest.raises(ValueError, match=r"'hencky'.*green_lagrange, as_printed, infinitesimal"):
-        strain_std(torch.zeros(2, 2), torch.zeros(2, 2, 2, 2), "hencky")
-
-
 def test_covariance_and_energy_of_noise_on_a_triangle() -> None:
     """By 20,000 copies of a triangle at rest with noisy corners, to 5 %; the energy they have on average is noise."""
     corners = torch.tensor([[[0.0, 0.0], [1.2, 0.1], [0.3, 0.9]]], dtype=torch.float64)

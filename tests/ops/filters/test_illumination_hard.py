@@ -78,17 +78,3 @@ def test_levels_of_what_is_no_number() -> None:
     levels = quantize(torch.tensor([torch.nan, torch.inf, -torch.inf, -3.0, 7.0]))
     assert levels.tolist() == [0, 255, 0, 0, 255]
     assert dequantize(torch.tensor([torch.nan])).isnan().all()
-
-
-def test_refusals_name_value_and_remedy() -> None:
-    frames = torch.zeros(3, 1, 8, 8)
-    with pytest.raises(ValueError, match=r"reference has shape \(2, 1, 8, 8\)"):
-        normalize_illumination(frames, torch.zeros(2, 1, 8, 8))
-    with pytest.raises(ValueError, match=r"dark has shape \(1, 1, 8, 9\)"):
-        normalize_illumination(frames, frames, torch.zeros(1, 1, 8, 9))
-    with pytest.raises(ValueError, match=r"frames has shape \(8, 8\)"):
-        normalize_illumination(frames[0, 0], frames)
-    with pytest.raises(ValueError, match=r"minimum_illumination is 1\.5"):
-        normalize_illumination(frames, frames, minimum_illumination=1.5)
-    with pytest.raises(ValueError, match="high must be above low"):
-        quantize(frames, 1.0, 1.0)

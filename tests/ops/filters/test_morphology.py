@@ -48,21 +48,3 @@ def test_all_none_and_empty_batch() -> None:
     assert not erode(nothing, 3).any()
     assert dilate(~nothing, 3).all()
     assert dilate(nothing[:0], 3).shape == (0, 1, 6, 7)
-
-
-def test_input_is_left_as_it_was() -> None:
-    mask = torch.eye(9, dtype=torch.bool)[None, None]
-    dilate(mask, 0)[0, 0, 0, 5] = True
-    assert torch.equal(mask[0, 0], torch.eye(9, dtype=torch.bool))
-
-
-def test_refusals() -> None:
-    mask = torch.zeros(1, 1, 4, 4, dtype=torch.bool)
-    with pytest.raises(TypeError, match="uint8"):
-        dilate(mask.to(torch.uint8), 1)
-    with pytest.raises(ValueError, match="radius is -1"):
-        erode(mask, -1)
-    with pytest.raises(ValueError, match="square"):
-        dilate(mask, 1, "square")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"\(4, 4\)"):
-        erode(mask[0, 0], 1)

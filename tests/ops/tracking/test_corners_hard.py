@@ -97,19 +97,3 @@ def test_frame_smaller_than_the_window() -> None:
     frame = torch.rand(1, 1, 3, 5, generator=torch.Generator().manual_seed(3))
     assert corner_response(frame, 9).isfinite().all()
     assert detect_corners(frame, 5, window=9, border=9).valid.sum() == 0
-
-
-def test_refusals() -> None:
-    frame = torch.zeros(1, 1, 9, 9)
-    with pytest.raises(ValueError, match="count -1"):
-        detect_corners(frame, -1)
-    with pytest.raises(ValueError, match=r"quality 1\.5"):
-        detect_corners(frame, quality=1.5)
-    with pytest.raises(ValueError, match="min_distance nan"):
-        detect_corners(frame, min_distance=math.nan)
-    with pytest.raises(ValueError, match="window is 4"):
-        corner_response(frame, 4)
-    with pytest.raises(ValueError, match=r"\(9, 9\)"):
-        corner_response(frame[0, 0])
-    with pytest.raises(ValueError, match="noise="):
-        detect_corners(torch.zeros(1, 1, 2, 9))
