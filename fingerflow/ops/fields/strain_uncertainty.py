@@ -29,16 +29,7 @@ def strain_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagra
     Raises:
         ValueError: another measure.
     """
-    return _deviation(strain_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
-
-
-def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the derivatives (..., 3, 2, 2) of (exx, eyy, exy) with respect to the displacement gradient (..., 2, 2).
-
-    Raises:
-        ValueError: another measure.
-    """
-    return field_sensitivity(gradient, measure)[..., 2:, :, :]
+    return field_std(gradient, covariance, measure)[..., 2:]
 
 
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
@@ -67,27 +58,20 @@ def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tens
     return result
 
 
-def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:
-    """Return the contribution of each corner of a triangle to the covariance of its strain.
-
-    It is (..., 3, 4): the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of
-    a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched
-    by some per cent makes this wrong by about as much, for all measures.
-
-    Args:
-        slopes: (..., 3, 2) of `triangle_slopes`.
-        covariance: (..., 3, 2, 2) of the displacement of each corner, independent of the others; the sum over corners
-            is the covariance of the strain.
-    """
-    x, y = slopes.unbind(-1)
-    uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    return torch.stack(strain_covariance_parts(x * x, x * y, y * y, uu, uv, vv), dim=-1)
-
-
 def strain_covariance_parts(
     xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the four elements of `strain_covariance` as separate tensors, from products of slopes and a covariance."""
+    """Return the contribution of a corner of a triangle to the covariance of its strain.
+
+    These are the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of a corner
+    of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched by some
+    per cent makes this wrong by about as much, for all measures.
+
+    Args:
+        xx, xy, yy: products of the components of the corner's slope (`triangle_slopes`).
+        uu, uv, vv: covariance of the corner's displacement, independent of the other corners; the sum over corners is
+            the covariance of the strain.
+    """
     return xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
 
 

@@ -66,3 +66,53 @@ def test_exports_at_a_fixed_frame_size_and_runs_the_same() -> None:
     frames = torch.randint(0, 256, (2, 1, 24, 17), dtype=torch.uint8, generator=torch.Generator().manual_seed(7))
     exported = torch.export.export(Filter(), (frames,)).module()
     assert torch.equal(exported(frames.flip(-1)), median_filter(frames.flip(-1), 5))
+
+
+@pytest.mark.parametrize("value", [0, 7, 255])
+def test_one_grey_level(value: int) -> None:
+    frames = torch.full((2, 1, 20, 22), value, dtype=torch.uint8)
+    assert torch.equal(median_filter(frames), frames)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (3, 2), (2, 17), (8, 8)])
+@pytest.mark.parametrize("size", [3, 9, 11])
+def test_frame_smaller_than_the_window(shape: tuple[int, int], size: int) -> None:
+    frames = torch.randint(0, 256, (2, 1, *shape), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    half = size // 2
+    y, x = (torch.arange(-half, length + half).clamp(0, length - 1) for length in shape)
+    windows = frames[:, 0][:, y][:, :, x].unfold(1, size, 1).unfold(2, size, 1).flatten(3)
+    truth = windows.long().median(-1).values
+    assert torch.equal(median_filter(frames, size)[:, 0].long(), truth)
+
+
+def test_empty_batch_and_empty_frame() -> None:
+    assert median_filter(torch.zeros(0, 1, 8, 8, dtype=torch.uint8)).shape == (0, 1, 8, 8)
+    assert median_filter(torch.zeros(2, 1, 0, 8)).shape == (2, 1, 0, 8)
+
+
+def test_window_of_one_copies() -> None:
+    frames = torch.rand(1, 1, 4, 4, generator=torch.Generator().manual_seed(2))
+    filtered = median_filter(frames, 1)
+    assert torch.equal(filtered, frames)
+    assert filtered.data_ptr() != frames.data_ptr()
+
+
+@pytest.mark.parametrize("size", [3, 5, 9])
+def test_nan_spoils_exactly_its_windows(size: int) -> None:
+    frames = torch.rand(1, 1, 30, 34, generator=torch.Generator().manual_seed(1))
+    spoiled = frames.clone()
+    spoiled[0, 0, 11, 17] = torch.nan
+    spoiled[0, 0, 0, 33] = torch.nan
+    filtered, clean = median_filter(spoiled, size), median_filter(frames, size)
+    half = size // 2
+    expected = torch.zeros(30, 34, dtype=torch.bool)
+    expected[11 - half : 12 + half, 17 - half : 18 + half] = True
+    expected[: 1 + half, 33 - half :] = True
+    assert torch.equal(filtered[0, 0].isnan(), expected)
+    assert torch.equal(filtered[0, 0][~expected], clean[0, 0][~expected])
+
+
+def test_infinities_are_ordered_as_numbers() -> None:
+    frames = torch.zeros(1, 1, 5, 5)
+    frames[..., 1:4, 1:4] = torch.tensor([[-torch.inf, 1, 2], [3, 4, 5], [torch.inf, torch.inf, 6]])
+    assert median_filter(frames, 3)[0, 0, 2, 2] == 4
