@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.checks import check_mask
 
 
 def fill_holes(mask: Tensor) -> Tensor:
@@ -27,7 +28,7 @@ def fill_holes(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if mask.numel() == 0:
         return mask.clone()
     if kernels.serve(mask):
@@ -55,7 +56,7 @@ def largest_component(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if mask.numel() == 0:
         return mask.clone()
     if kernels.serve(mask):
@@ -127,10 +128,3 @@ def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
         shorter = root[root]
         while not torch.equal(shorter, root):
             root, shorter = shorter, shorter[shorter]
-
-
-def _check(mask: Tensor) -> None:
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")

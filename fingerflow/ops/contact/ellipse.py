@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.checks import check_mask
 
 
 class FittedEllipse(NamedTuple):
@@ -41,7 +42,7 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if _compiled(mask):
         numbers = kernels.fit_ellipse(mask)
         return FittedEllipse(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5])
@@ -74,7 +75,7 @@ def mask_moments(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if _compiled(mask):
         return kernels.mask_moments(mask)
     filled = mask[:, 0]
@@ -83,13 +84,6 @@ def mask_moments(mask: Tensor) -> Tensor:
     along = torch.where(filled, x, 0).sum(2)
     sums = columns, along, rows * y, columns * x * x, along * y, rows * y * y
     return torch.stack([some.sum(1) for some in sums], 1)
-
-
-def _check(mask: Tensor) -> None:
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
 
 
 def _compiled(mask: Tensor) -> bool:

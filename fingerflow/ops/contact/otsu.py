@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.checks import check_frames
 
 _BINS = 256
 _MOST_COMPILED_BINS = 1 << 16
@@ -122,13 +123,8 @@ def otsu_classes(counts: Tensor) -> Classes:
     return Classes(*(result.squeeze(1) for result in results))
 
 
-def _check(frames: Tensor) -> None:
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
-
-
 def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[float, float]:
-    _check(frames)
+    check_frames(frames)
     if value_range is None:
         if frames.dtype != torch.uint8:
             raise ValueError(

@@ -21,17 +21,6 @@ def curl_std(covariance: Tensor) -> Tensor:
     return _root(vx[..., 1, 0] - vx[..., 0, 1] - uy[..., 1, 0] + uy[..., 0, 1])
 
 
-def strain_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the standard deviations (..., 3) of the (exx, eyy, exy) of `green_lagrange` for this gradient and measure.
-
-    They are of first order in the error of the gradient, which is exact for "infinitesimal".
-
-    Raises:
-        ValueError: another measure.
-    """
-    return field_std(gradient, covariance, measure)[..., 2:]
-
-
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
     """Return the 20 elements of `field_sensitivity` as separate tensors, from du/dx, du/dy, dv/dx and dv/dy."""
     if measure not in STRAIN_MEASURES:
@@ -48,7 +37,9 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, to first order."""
-    return _deviation(field_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
+    sensitivity = field_sensitivity(gradient, measure)
+    rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]
+    return _root((rows * covariance[..., None, :, :, :, :] * columns).sum((-4, -3, -2, -1)))
 
 
 def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
@@ -73,12 +64,6 @@ def strain_covariance_parts(
             the covariance of the strain.
     """
     return xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
-
-
-def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:
-    """Return sqrt(s' C s) for s (..., 2, 2)."""
-    products = sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]
-    return _root(products.sum((-4, -3, -2, -1)))
 
 
 def _root(variance: Tensor) -> Tensor:
