@@ -1,4 +1,4 @@
-"""`torch.compile(fullgraph=True)` of every public op and every module, with kernels and without: the same numbers.
+"""`torch.compile(fullgraph=True)` and `torch.export` of every public op and every module: the same numbers.
 
 A new one has to be given inputs in tests/embedded.py.
 """
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fingerflow import ops
 from fingerflow.kernels import tensors as kernels
@@ -19,6 +19,9 @@ from tests.kernels.kernel_calls import Call, call, kernel_calls
 pytestmark = pytest.mark.long
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+#: Ops whose number of steps depends on data, which cannot be exported.
+BY_DATA = ("dense_flow", "detect_corners", "track_points")
 
 
 @pytest.fixture(autouse=True)
@@ -52,6 +55,29 @@ def test_whole_and_the_same(name: str) -> None:
     """
     to_rounding = name.startswith(("FieldsGraph", "TrackGraph"))
     compiled_as_it_is(name, "aot_eager", tolerance=1e-6 if to_rounding else 0.0)
+
+
+class Exported(nn.Module):
+    """A case as a module."""
+
+    def __init__(self, call: Callable[..., object]) -> None:
+        super().__init__()
+        self.call = call
+
+    def forward(self, *inputs: object) -> object:
+        return self.call(*inputs)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if not name.startswith(BY_DATA)])
+def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one graph of fixed shapes, to the rounding of sums in another order."""
+    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    case = CASES[name]
+    program = torch.export.export(Exported(case.call), case.inputs)
+    assert not [node for node in program.graph.nodes if "higher_order" in str(node.target)]
+    for result, wanted in zip(tensors_of(program.module()(*case.inputs)), expected(name), strict=True):
+        assert result.dtype == wanted.dtype
+        torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])

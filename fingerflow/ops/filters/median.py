@@ -1,7 +1,7 @@
 """Exact median filter."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -65,25 +65,19 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
 
 
 def _by_network(frames: Tensor, size: int) -> Tensor:
-    program = MedianProgram(*planned(median_program, size))
+    program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
     result: Tensor = in_pieces(functools.partial(_run, program), frames_at_once(frames), frames)
     return result
 
 
-def planned(program: Callable[..., Any], *sizes: int) -> Any:
-    """Return `median_program` or `join_program` of these sizes, which a compiler must not trace."""
-    compiling = torch.compiler.is_compiling() and not torch.compiler.is_exporting()
-    return _planned(program, *sizes) if compiling else program(*sizes)
-
-
 @kernels.constant_to_compiler
-def _planned(program: Callable[..., Any], *sizes: int) -> Any:
-    """Return the program as plain tuples: a compiler accepts only those as constants."""
-    return _plain(program(*sizes))
+def _planned(size: int) -> Any:
+    return plain(median_program(size))
 
 
-def _plain(program: Any) -> Any:
-    return tuple(map(_plain, program)) if isinstance(program, tuple) else program
+def plain(program: Any) -> Any:
+    """Return a program as plain tuples: a compiler accepts only those as constants, and must not trace their making."""
+    return tuple(map(plain, program)) if isinstance(program, tuple) else program
 
 
 def _alike(frames: Tensor, size: int) -> Tensor:

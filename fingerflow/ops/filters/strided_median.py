@@ -1,10 +1,13 @@
 """Median filter sampled with a stride, for threshold estimation; medians between the samples are not computed."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
+from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import join_program
-from fingerflow.ops.filters.median import median_filter, planned, run_network
+from fingerflow.ops.filters.median import median_filter, plain, run_network
 
 # Step in px from which windows are computed independently: each then takes up to 7 times the operations of a window
 # that shares them with its neighbours.
@@ -66,5 +69,11 @@ def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]
 
 
 def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_count: int, size: int) -> list[Tensor]:
-    steps, outputs = planned(join_program, size, first_count, second_count)
+    compiling = torch.compiler.is_compiling() and not torch.compiler.is_exporting()
+    steps, outputs = (_planned if compiling else join_program)(size, first_count, second_count)
     return run_network(steps, outputs, [*first, *second])
+
+
+@kernels.constant_to_compiler
+def _planned(size: int, first: int, second: int) -> Any:
+    return plain(join_program(size, first, second))

@@ -90,17 +90,6 @@ def test_exported_histogram_is_the_same(monkeypatch: pytest.MonkeyPatch, bins: i
     assert torch.equal(histogram(frames, mask, bins, (-1, 255)), counted)
 
 
-def test_threshold_survives_export() -> None:
-    class Threshold(torch.nn.Module):
-        def forward(self, frames: torch.Tensor) -> torch.Tensor:
-            return otsu_threshold(frames)
-
-    frames = torch.from_numpy(np.stack([two_classes(np.random.default_rng(s), (32, 40)) for s in (8, 9)]))[:, None]
-    exported = torch.export.export(Threshold(), (frames,))
-    assert not any("bincount" in str(node.target) for node in exported.graph.nodes)
-    assert torch.equal(exported.module()(frames.flip(0)), otsu_threshold(frames.flip(0)))
-
-
 @pytest.mark.parametrize("level", [0, 9, 255])
 def test_one_grey_level_has_no_threshold(level: int) -> None:
     frames = torch.full((2, 1, 8, 8), level, dtype=torch.uint8)
