@@ -9,15 +9,10 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.track import DeformationGraph
-from fingerflow.kernels import deformation
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
-from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.tracking import outliers
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
-from tests.graphs.test_track_graph import grid, picture
 from tests.kernels.twins import places_in_skin, skin
 from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
@@ -27,96 +22,6 @@ pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernel
 Array = NDArray[Any]
 Portable = Callable[[Callable[[], Any]], Any]
 Threads = Callable[[int], None]
-
-# Two units in the last place of positions up to 512 px: sums of the same terms in another order.
-ROUNDING_PX = 1.3e-4
-
-
-def some_points(count: int, frames: int, seed: int = 0) -> tuple[Array, ...]:
-    """Arguments of `correct_points`: a press with noise, of whose points some are lost and one has no place."""
-    random = np.random.default_rng(seed)
-    start = random.uniform((40, 40), (500, 440), (count, 2)).astype(np.float32)
-    from_middle = start - 250.0
-    moved = from_middle @ np.array([[0.02, 0.004], [-0.006, -0.015]]).T + 2e-5 * from_middle**2
-    points = (start + moved + random.normal(0, 0.02, (frames, count, 2))).astype(np.float32)
-    covariance = (random.uniform(1e-4, 1e-3, (frames, count, 1, 1)) * np.eye(2)).astype(np.float32)
-    lost = random.uniform(size=(frames, count)) < 0.1
-    points[lost], covariance[lost] = np.nan, np.nan
-    numbers = random.normal(0, 1, (count, NUMBERS)).astype(np.float32)
-    numbers[:, Number.NOISE] = random.uniform(0.5, 2, count)
-    numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = (1e-4, 0, 1e-4)
-    numbers[:, Number.BENDING :] = random.uniform(0, 2e4, (count, 10))
-    inverse = (np.eye(2) + random.normal(0, 0.01, (count, 2, 2))).astype(np.float32)
-    if count > 5:
-        start[2], numbers[2], points[:1, 3] = np.nan, np.nan, np.inf
-        covariance[:1, 4] = 0
-    return start, points, covariance, numbers, inverse
-
-
-def by_graph(window: int, *arrays: Array) -> list[Array]:
-    """By the portable form."""
-    given = [torch.from_numpy(np.ascontiguousarray(one)) for one in arrays]
-    error = given[1][..., 0]
-    found = Found(given[1], error, given[2], torch.zeros(error.shape, dtype=torch.uint8), given[1])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "serve", lambda *_: False)
-        result = DeformationGraph(window)(given[0][None], found, given[3][None], given[4][None])
-    return [one.numpy() for one in (result.found.points, result.found.covariance, *result[1:])]
-
-
-def assert_corrected(result: deformation.CorrectedPoints[Any], expected: list[Array]) -> None:
-    """The fits of the portable form are products of matrices: a few units of 1e-5 of a gradient off where points are
-    few.
-    """
-    warp = 2e-5
-    tolerances = {
-        "points": ROUNDING_PX,
-        "covariance": warp / 100,
-        "warp": warp,
-        "shift": 20 * warp,
-        "expected": ROUNDING_PX,
-    }
-    for (name, tolerance), one, other in zip(tolerances.items(), result, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=tolerance, equal_nan=True, err_msg=name)
-
-
-@pytest.mark.parametrize(("count", "frames"), [(700, 1), (300, 4), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0)])
-def test_corrected_as_by_the_graph(count: int, frames: int, instruction_set: int, torch_threads: Threads) -> None:
-    given = some_points(count, frames)
-    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
-    assert_corrected(result, by_graph(25, *given))
-    torch_threads(3)
-    for one, other in zip(result, deformation.correct_points(*given, window=25, gauge_px=120.0), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_corrected_in_a_picture() -> None:
-    """Templates that do not know that the skin is stretched."""
-    stretched = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
-    middle = torch.tensor([180.0, 150.0], dtype=torch.float64)
-    points = grid()
-    truth = ((points.double() - middle) @ stretched.T + middle).float()
-    warp = torch.eye(2).repeat(1, points.shape[1], 1, 1)
-    templates = prepare_templates(picture(torch.eye(2, dtype=torch.float64)), points, 25, warp)
-    found = find_templates(templates, picture(stretched), truth)
-    tensors = (points[0], found.points, found.covariance, templates.numbers[0], inverse_2x2(warp)[0])
-    given = [one.numpy() for one in tensors]
-    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
-    assert_corrected(result, by_graph(25, *given))
-    before, after = (np.linalg.norm(one - truth.numpy(), axis=-1) for one in (found.points.numpy(), result.points))
-    assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
-
-
-def test_arrays_that_are_views() -> None:
-    given: Any = some_points(60, 4)
-    views: Any = [np.repeat(one, 2, axis=0)[::2] for one in given]
-    views[1], views[2] = (np.asfortranarray(one) for one in given[1:3])
-    for one, other in zip(
-        deformation.correct_points(*views, window=25, gauge_px=120.0),
-        deformation.correct_points(*given, window=25, gauge_px=120.0),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(one, other)
 
 
 def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.OutlierFlags:

@@ -6,12 +6,14 @@ from itertools import product
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from scipy.spatial import Delaunay
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.components import fill_holes, largest_component
 from fingerflow.ops.contact.contact_threshold import contact_threshold
@@ -29,6 +31,7 @@ from fingerflow.ops.filters.morphology import dilate, erode
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.corners import detect_corners
+from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.ops.tracking.track_points import track_points
 from fingerflow.ops.tracking.window_correlation import sample_windows
@@ -323,6 +326,28 @@ def tracks() -> Iterator[Call]:
     yield track_points, (*frames, points_inside(3))
 
 
+def corrections() -> Iterator[Call]:
+    """Of a press with noise, of whose points some are lost and one has no place."""
+    for count, frames in ((700, 1), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0), (300, 4)):
+        random = np.random.default_rng(0)
+        start = random.uniform((40, 40), (500, 440), (1, count, 2))
+        from_middle = start - 250.0
+        moved = from_middle @ np.array([[0.02, 0.004], [-0.006, -0.015]]).T + 2e-5 * from_middle**2
+        points = start + moved + random.normal(0, 0.02, (frames, count, 2))
+        covariance = random.uniform(1e-4, 1e-3, (frames, count, 1, 1)) * np.eye(2)
+        lost = random.uniform(size=(frames, count)) < 0.1
+        points[lost], covariance[lost] = np.nan, np.nan
+        numbers = random.normal(0, 1, (1, count, NUMBERS))
+        numbers[..., Number.NOISE] = random.uniform(0.5, 2, count)
+        numbers[..., Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = (1e-4, 0, 1e-4)
+        numbers[..., Number.BENDING :] = random.uniform(0, 2e4, (count, 10))
+        inverse = np.eye(2) + random.normal(0, 0.01, (1, count, 2, 2))
+        if count > 5:
+            start[0, 2], numbers[0, 2], points[:1, 3], covariance[:1, 4] = np.nan, np.nan, np.inf, 0
+        given = (torch.from_numpy(one).float() for one in (start, points, covariance, numbers, inverse))
+        yield partial(correct_points, window=25, gauge_px=WARP_GAUGE_PX), tuple(given)
+
+
 def corners() -> Iterator[Call]:
     """In texture with saturation at either end, in tiles that repeat every response, on lines, in masks."""
 
@@ -471,6 +496,13 @@ TWINS = {
     # Positions of a few hundred px in float32 are 3e-5 px apart. The residual is a difference of sums of squares, a
     # hundredth of them and less: float32 leaves some percent of it.
     "track_points": Twin(tracks, (0.0, 1e-4), {"covariance": (2e-2, 2e-6)}),
+    # Positions to two units in the last place. Portable fits are products of matrices: a few units of 1e-5 of a
+    # gradient off where points are few.
+    "correct_points": Twin(
+        corrections,
+        (1e-5, 1.3e-4),
+        {"covariance": (1e-5, 2e-7), "warp": (1e-5, 2e-5), "shift": (1e-5, 4e-4)},
+    ),
     "detect_corners": Twin(corners),
     **{
         f"local_gradients {dtype} {gauge * unit}": Twin(
