@@ -63,12 +63,6 @@ def test_hot_pixels_do_not_set_the_level() -> None:
     assert normalize_illumination(reference / 2, reference).valid.all()
 
 
-def test_one_reference_a_frame() -> None:
-    light = torch.cat([lamp(), 2 * lamp()])
-    normalized = normalize_illumination(light * 0.25, light)
-    assert torch.allclose(normalized.frames, torch.tensor(0.25, dtype=torch.float64))
-
-
 def test_signal_relative_to_the_first_contact() -> None:
     light = lamp()
     first = normalize_illumination(0.9 * light, light)
