@@ -313,7 +313,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """Return `field_sensitivity` (B, 5, 2, 2, Q) of gradients (B, 4, Q)."""
+    """Return derivatives (B, 5, 2, 2, Q) of the five fields with respect to gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
     result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))

@@ -22,7 +22,10 @@ def curl_std(covariance: Tensor) -> Tensor:
 
 
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
-    """Return the 20 elements of `field_sensitivity` as separate tensors, from du/dx, du/dy, dv/dx and dv/dy."""
+    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the gradient.
+
+    They are 20 separate tensors, four of each field, as are the elements du/dx, du/dy, dv/dx and dv/dy of the gradient.
+    """
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     none, one = torch.zeros_like(ux), torch.ones_like(ux)
@@ -37,16 +40,10 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, to first order."""
-    sensitivity = field_sensitivity(gradient, measure)
+    (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
+    sensitivity = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
     rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]
     return _root((rows * covariance[..., None, :, :, :, :] * columns).sum((-4, -3, -2, -1)))
-
-
-def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy with respect to the gradient."""
-    (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
-    result: Tensor = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
-    return result
 
 
 def strain_covariance_parts(
