@@ -50,9 +50,9 @@ def scene(batch: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return frames[0].contiguous(), frames[1].contiguous(), points, moved
 
 
-def cases() -> dict[str, Case]:
+def cases(batch: int = 2) -> dict[str, Case]:
     """By name: of the ops their public one, and what is asked of them behind a dash."""
-    first, second, points, moved = scene()
+    first, second, points, moved = scene(batch)
     gray = first.to(torch.float32)
     glass, black = torch.full_like(gray, 200.0), torch.zeros_like(gray)
     one = torch.ones(len(first), dtype=torch.float32)
@@ -108,6 +108,7 @@ def cases() -> dict[str, Case]:
         "LightGraph": Case(LightGraph(), (gray, black, one)),
         "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
         "KeyGraph": Case(key, (first, points)),
+        "KeyGraph - warp": Case(KeyGraph(11, gain_offset=False), (first, points, one, straight)),
         "TrackGraph": Case(track, (templates, second, points)),
         "AgreementGraph": Case(AgreementGraph(), (neighbours, points[:1], found.points, found.variance.sqrt())),
         "DeformationGraph": Case(DeformationGraph(11), (points[:1], found, of_key, straight[:1])),

@@ -1,31 +1,23 @@
 """Every module of the graphs on an accelerator that is not there: no wait for the host, launches that do not grow with
 the recordings, one graph without a break.
 
-A module that is new has to be given inputs here: `test_every_module_is_tried` names it.
+A module that is new has to be given inputs in tests/embedded.py.
 """
 
-import importlib
-import inspect
-import pkgutil
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-import fingerflow.graphs
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
-from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
-from fingerflow.graphs.track import AgreementGraph, DeformationGraph
-from fingerflow.kernels.tracking_limits import NUMBERS
-from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
-from fingerflow.ops.tracking.templates import Found
+from fingerflow.ops.tracking.outliers import find_neighbours
+from tests.embedded import CASES, cases
 
 pytestmark = pytest.mark.long
 
@@ -52,53 +44,12 @@ def alone(dtype: torch.dtype = torch.float32) -> Callable[[int], Tensor]:
     return lambda batch: torch.zeros(batch, dtype=dtype)
 
 
-def alone_points(*shape: int) -> Callable[[int], Tensor]:
-    """Of the key frame, the same for all."""
-    return lambda _: torch.zeros(1, POINTS, *shape)
-
-
-def templates(key: nn.Module) -> Callable[[int], Any]:
-    """As the key graph gives them."""
-
-    def of(batch: int) -> Any:
-        shapes = count_launches(key, (images()(batch), points(2)(batch))).result
-        return type(shapes)(*(None if one is None else torch.zeros(one[0], dtype=one[1]) for one in shapes))
-
-    return of
-
-
-def neighbours(_: int) -> Neighbours:
-    return find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
-
-
-def found_points(batch: int) -> Found:
-    status = torch.zeros(batch, POINTS, dtype=torch.uint8)
-    return Found(points(2)(batch), points()(batch), points(2, 2)(batch), status, points(2)(batch))
-
-
-def ellipse(batch: int) -> GrossEllipse:
-    return GrossEllipse(torch.zeros(batch, 2), torch.ones(batch, 2), torch.zeros(batch))
-
-
 def steps() -> dict[str, Step]:
-    """All modules by name: of the graphs, and of the recipes that are shipped."""
-
-    def step(module: nn.Module, *inputs: Callable[[int], Any]) -> Step:
-        return Step(module, lambda batch: tuple(one(batch) for one in inputs))
-
-    glass = images(torch.float32)
+    """All modules by name: of the graphs (tests/embedded.py), and of the recipes that are shipped."""
     found = {
-        "light": step(LightGraph(), glass, glass, alone()),
-        "contact": step(ContactGraph(), images(), glass, glass, alone()),
-        "key": step(KeyGraph(11), images(), points(2)),
-        "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
-        "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
-        "agreement": step(AgreementGraph(), neighbours, alone_points(2), points(2), points()),
-        "deformation": step(
-            DeformationGraph(11), alone_points(2), found_points, alone_points(NUMBERS), alone_points(2, 2)
-        ),
-        "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
-        "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
+        name: Step(case.call, lambda batch, name=name: cases(batch)[name].inputs)
+        for name, case in CASES.items()
+        if isinstance(case.call, nn.Module)
     }
     for recipe, path in RECIPES.items():
         found |= {f"{recipe} {name}": step for name, step in of_recipe(small(load_recipe(path)))}
@@ -114,7 +65,7 @@ def small(recipe: Recipe) -> Recipe:
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
     """The graphs of a recipe; what one gives the next ones take, in shape and type."""
-    beside = neighbours(1)
+    beside = find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
     known = {
         **dict.fromkeys(("contact_view", "topography_view", "key_view"), images()),
         **dict.fromkeys(("empty", "dark"), images(torch.float32)),
@@ -155,8 +106,9 @@ _PICKED = "the neighbours of one recording are picked in one call, those of seve
 _CUT_ONE_BY_ONE = "windows are cut out of one view after the other"
 #: What the modules do not meet yet, by step: the tests say when they do.
 WAITS = {
-    "key with warps": _ONE_BY_ONE,
-    "fields and medians": _BROUGHT,
+    "KeyGraph - warp": _ONE_BY_ONE,
+    "SearchGraph": _CUT_ONE_BY_ONE,
+    **{f"FieldsGraph - {name}": _BROUGHT for name in ("medians", "entered")},
     **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
     **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("fields_entered", "windows")},
     **{f"{recipe} outliers": _PICKED for recipe in RECIPES},
@@ -180,42 +132,13 @@ def marked(reasons: dict[str, str], raises: tuple[type[Exception], ...], names: 
     ]
 
 
-def modules_in(package: ModuleType) -> set[type[nn.Module]]:
-    """All module classes of a package that do not say by an underscore that they are a part of another."""
-    files = [
-        importlib.import_module(f"{package.__name__}.{found.name}") for found in pkgutil.iter_modules(package.__path__)
-    ]
-    return {
-        kind
-        for file in files
-        for name, kind in inspect.getmembers(file, inspect.isclass)
-        if issubclass(kind, nn.Module) and kind.__module__ == file.__name__ and not name.startswith("_")
-    }
-
-
-def test_every_module_is_tried() -> None:
-    tried = {type(part) for step in STEPS.values() for part in step.module.modules()}
-    wanted = modules_in(fingerflow.graphs)
-    assert wanted
-    assert not {kind.__qualname__ for kind in wanted - tried}, "give these inputs in `steps`"
-
-
 @pytest.mark.parametrize("name", marked(WAITS, (HostWait, AssertionError)))
 def test_the_host_never_waits_and_more_recordings_cost_no_launch(name: str) -> None:
     one, eight = (launches(STEPS[name], batch).calls for batch in (1, 8))
     assert 0 < one == eight
 
 
-@pytest.mark.parametrize("name", [name for name in STEPS if name.split()[0] not in RECIPES])
-def test_traced_whole(name: str) -> None:
-    """All of a step in one graph of fixed shapes; those of recipes are exported in tests/export."""
-    step = STEPS[name]
-    given = step.inputs(1)
-    program = torch.export.export(step.module.eval(), given)
-    assert not [node for node in program.graph.nodes if "higher_order" in str(node.target)]
-
-
-@pytest.mark.parametrize("name", [name for name in STEPS if name.split()[0] not in list(RECIPES)[1:]])
+@pytest.mark.parametrize("name", [name for name in STEPS if name.split()[0] == next(iter(RECIPES))])
 def test_compiled_whole(name: str) -> None:
     step = STEPS[name]
     torch.compiler.reset()

@@ -1,4 +1,4 @@
-"""`torch.compile(fullgraph=True)` of every public op and every module, with kernels and without: the same numbers.
+"""`torch.compile(fullgraph=True)` and `torch.export` of every public op and every module: the same numbers.
 
 A new one has to be given inputs in tests/embedded.py.
 """
@@ -8,15 +8,20 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fingerflow import ops
 from fingerflow.kernels import tensors as kernels
-from tests.embedded import CASES, POINTS, expected, scene, tensors_of, without_a_case
+from fingerflow.ops.tracking.track_points import in_passes
+from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
+from tests.kernels.kernel_calls import Call, call, kernel_calls
 
 pytestmark = pytest.mark.long
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+#: Ops whose number of steps depends on data, which cannot be exported.
+BY_DATA = ("dense_flow", "detect_corners", "track_points")
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +55,29 @@ def test_whole_and_the_same(name: str) -> None:
     """
     to_rounding = name.startswith(("FieldsGraph", "TrackGraph"))
     compiled_as_it_is(name, "aot_eager", tolerance=1e-6 if to_rounding else 0.0)
+
+
+class Exported(nn.Module):
+    """A case as a module."""
+
+    def __init__(self, call: Callable[..., object]) -> None:
+        super().__init__()
+        self.call = call
+
+    def forward(self, *inputs: object) -> object:
+        return self.call(*inputs)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if not name.startswith(BY_DATA)])
+def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one graph of fixed shapes, to the rounding of sums in another order."""
+    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    case = CASES[name]
+    program = torch.export.export(Exported(case.call), case.inputs)
+    assert not [node for node in program.graph.nodes if "higher_order" in str(node.target)]
+    for result, wanted in zip(tensors_of(program.module()(*case.inputs)), expected(name), strict=True):
+        assert result.dtype == wanted.dtype
+        torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])
@@ -86,50 +114,23 @@ def test_derivatives_are_those_of_the_op() -> None:
             torch.testing.assert_close(found, derivative, rtol=1e-5, atol=1e-6)
 
 
-def of_kernels() -> dict[str, Callable[[], object]]:
+def of_kernels() -> dict[str, Call]:
     """Calls of ops of torch's own, by their names."""
-    first, second, points, moved = scene()
-    own = torch.ops.fingerflow
-    mask, light = first > 100, torch.full_like(first[:1], 200, dtype=torch.float32)
-    one = torch.ones(2)
-    covariance = torch.eye(2).expand(2, POINTS, 2, 2).flatten(2)
-    templates = kernels.prepare_templates(first, points, None, one, 11, True, 0.0) if kernels.serve() else ()
-    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
-    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
-    return {
-        "median": lambda: check(own.median, first, 5),
-        "real_contact_mask": lambda: check(own.real_contact_mask, first, light, 0 * light, one / 2, 3),
-        "apparent_contact": lambda: check(own.apparent_contact, mask, 8, 4),
-        "corners": lambda: check(own.corners, first, None, one, **corners),
-        "prepare_templates": lambda: check(own.prepare_templates, first, points, None, one, 11, True, 0.0),
-        "find_templates": lambda: check(
-            own.find_templates, list(templates), second, points, None, None, 8, 0.0, 1.0, 0.5
-        ),
-        "find_pairs": lambda: check(
-            own.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5
-        ),
-        **{
-            f"in_passes of {one.dtype}": lambda one=one: check(
-                own.in_passes,
-                *(one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5),
-            )
-            for one in (first.float(), first.double())
-        },
-        "sample_windows": lambda: check(
-            own.sample_windows, first, torch.zeros(POINTS, dtype=torch.int64), points[0], torch.ones(POINTS, 2, 2), 9, 3
-        ),
-        "local_gradients": lambda: check(own.local_gradients, points, moved, points, covariance, **fits),
-        "local_gradients without noise": lambda: check(own.local_gradients, points, moved, points, None, **fits),
+    first, second, points, _ = scene()
+    passes = {
+        f"in_passes of {one.dtype}": call(
+            in_passes, one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5
+        )
+        for one in (first.float(), first.double())
     }
-
-
-def check(op: torch._ops.OpOverloadPacket, *arguments: object, **settings: object) -> None:
-    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
-    torch.library.opcheck(op, arguments, settings, test_utils=tests)
+    own = {name: one for name, one in kernel_calls().items() if one.function in vars(kernels).values()}
+    return {**own, **passes}
 
 
 @needs_kernels
-@pytest.mark.parametrize("name", of_kernels())
+@pytest.mark.parametrize("name", of_kernels() if kernels.serve() else ())
 def test_shapes_and_schema_are_true(name: str) -> None:
+    function, arguments, settings = of_kernels()[name]
+    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
     with torch.no_grad():
-        of_kernels()[name]()
+        torch.library.opcheck(getattr(torch.ops.fingerflow, function.__name__), arguments, settings, test_utils=tests)

@@ -28,6 +28,24 @@ def sum_rows(values: Tensor) -> Tensor:
     return values.new_ones(1, values.shape[-2]) @ values
 
 
+def symmetric(three: Tensor) -> Tensor:
+    """Return symmetric matrices (B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    xx, xy, yy = three.split(1, dim=1)
+    result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
+    return result
+
+
+def products(left: Tensor, right: Tensor) -> Tensor:
+    """Return the products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
+
+    Written out, since batched products of small matrices take longer.
+    """
+    first, second = left.split(1, dim=-2)
+    upper, lower = right.split(1, dim=-3)
+    result: Tensor = first * upper + second * lower
+    return result
+
+
 def bytes_of(mask: Tensor) -> Tensor:
     """Return a mask (...) bool as uint8, 0 or 1: a view of the same memory, or a cast while a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from exact_region import exact_region
 from torch import Tensor
 
 from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.contact.cells import mask_of
+from tests.ops.contact.test_apparent_contact import by_scipy
 
 PERIOD_PX = 14.0  # of ridges 0.45 mm apart
 EDGE_PX = 0.35  # width of the logistic blur of an edge in focus
@@ -163,19 +163,6 @@ def test_bad_pixels_and_an_unlit_rim_are_no_contact() -> None:
     assert float(contact.gross_area_px) == pytest.approx(float(expected.gross_area_px), rel=0.003)
 
 
-def test_batches_of_none_one_and_many() -> None:
-    light = torch.cat([drawn((50, 40), phase)[0] for phase in (0.0, 0.3, 0.7)])
-    reference = torch.full_like(light[:1], 180.0)
-    frames = (180 * light).round().to(torch.uint8)
-    whole, thresholds = found(frames, reference)
-    for k in range(3):
-        alone, threshold = found(frames[k : k + 1], reference)
-        assert torch.equal(whole.real_contact_mask[k], alone.real_contact_mask[0])
-        torch.testing.assert_close(whole.density_margin[k], alone.density_margin[0])
-        assert float(thresholds[k]) == float(threshold[0])
-    assert found(frames[:0], reference).contact.real_contact_mask.shape == (0, *frames.shape[1:])
-
-
 @pytest.mark.parametrize("factor", [1.4, 16.0])
 def test_frames_brighter_than_the_background_have_no_contact(factor: float) -> None:
     """Another exposure, or 12 bit against 8: there are two classes, but neither lost light."""
@@ -210,11 +197,11 @@ def test_region_is_that_of_all_pixels() -> None:
     cells, pixels = [], []
     for phase in np.arange(6) / 6:
         contact, _ = measured(drawn((100, 80), float(phase))[0])
-        exact = exact_region(contact.real_contact_mask, 8)
+        exact = torch.from_numpy(by_scipy(contact.real_contact_mask[0, 0].numpy(), 8))
         truth = math.pi * 100 * 80
         cells.append(float(contact.gross_area_px) / truth - 1)
         pixels.append(float(exact.sum()) / truth - 1)
-        overlap = mask_of(contact.density_margin, 4, *exact.shape[2:])
+        overlap = mask_of(contact.density_margin, 4, *exact.shape)[0, 0]
         assert float((overlap != exact).sum()) < 0.012 * truth
     assert np.mean(cells) == pytest.approx(np.mean(pixels), abs=0.003)
     assert np.abs(cells).max() < np.abs(pixels).max() + 0.003

@@ -20,6 +20,13 @@ def instruction_set(request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 @pytest.fixture
+def instruction_sets() -> Iterator[list[int]]:
+    """All instruction sets that this processor and build have."""
+    yield [most for most in (0, 1, 2) if kernels.limit_instruction_set(most) == most]
+    kernels.limit_instruction_set(-1)
+
+
+@pytest.fixture
 def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]], object]:
     """Calls a function with the compiled kernels turned off."""
 

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from contact_frames import contact_frames
-from kernel_images import SHAPES, images
 
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.kernels import contact_frames as native
@@ -15,13 +13,13 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_frames import ContactOfFrames, contact_of_frames
 from fingerflow.kernels.contact_sizes import cell_of
 from fingerflow.ops.contact.cells import covered
-from fingerflow.ops.contact.contact_threshold import contact_threshold
+from tests.kernels.contact_frames import contact_frames
+from tests.kernels.kernel_images import SHAPES, images
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 Portable = Callable[[Callable[[], object]], Any]
 # Both forms take the same levels; a cell at the border whose density differs by rounding takes some pixels with it.
-ROUNDING = 1e-4
 
 
 def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tensor) -> None:
@@ -63,55 +61,6 @@ def test_same_contact_of_any_image(shape: tuple[int, int, int]) -> None:
     for cell in (1, 4, 8):
         found = contact_of_frames(*given, median_px=3, radius=8, cell=cell)
         same_contact(found, ContactGraph(3, 8, cell), frames, light, 0 * light, limits)
-
-
-@pytest.mark.parametrize("dtype", kernels.FRAME_KINDS)
-@pytest.mark.parametrize(("median", "radius", "stride"), [(3, 8, 1), (3, 8, 8), (1, 5, 3), (9, 8, 8), (13, 8, 2)])
-def test_same_threshold(
-    instruction_set: int,
-    portable: Portable,
-    monkeypatch: pytest.MonkeyPatch,
-    dtype: torch.dtype,
-    median: int,
-    radius: int,
-    stride: int,
-) -> None:
-    for lights, gain in ((1, None), (5, torch.tensor([1.0, 0.98, torch.nan, 1.04, 1.08]))):
-        frames, light, black = contact_frames(5, 130, 170, dtype, lights)
-
-        def call() -> torch.Tensor:
-            sizes = {"median_px": median, "radius": radius, "stride_px": stride}
-            return contact_threshold(frames, light, black, gain, **sizes)  # noqa: B023
-
-        found = call()
-        assert found.isfinite().sum() >= 3
-        torch.testing.assert_close(found, portable(call), rtol=0, atol=ROUNDING, equal_nan=True)
-        with monkeypatch.context() as patch:  # the other kernels serve
-            patch.setattr(kernels, "LARGEST_MAJORITY", 0)
-            torch.testing.assert_close(found, call(), rtol=0, atol=ROUNDING / 10, equal_nan=True)
-
-
-def test_no_contact_has_no_threshold(portable: Portable) -> None:
-    """Empty glass, a constant frame, one without light, and no frame."""
-    frames, light, black = contact_frames(2, 64, 80, torch.uint8)
-    for some, lamp in ((frames[:1], light), (frames * 0 + 90, light), (frames, 0 * light), (frames[:0], light)):
-        found = contact_threshold(some, lamp, black)
-        assert found.shape == some.shape[:1]
-        assert found.isnan().all()
-        assert portable(lambda s=some, a=lamp: contact_threshold(s, a, black)).isnan().all()
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 130), (2, 130, 1), (1, 3, 2), (5, 37, 41), (2, 33, 800)])
-def test_thresholds_of_any_image(portable: Portable, shape: tuple[int, int, int]) -> None:
-    """Smaller than windows and cells."""
-    frames = images(shape, torch.uint8, "two levels")
-    light, black = torch.full((1, 1, *shape[1:]), 250.0), torch.zeros(1, 1, *shape[1:])
-    for median, stride in ((3, 1), (15, 8), (5, 3)):
-
-        def call() -> torch.Tensor:
-            return contact_threshold(frames, light, black, median_px=median, stride_px=stride)  # noqa: B023
-
-        torch.testing.assert_close(call(), portable(call), rtol=0, atol=1e-2, equal_nan=True)
 
 
 def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
@@ -161,35 +110,3 @@ def test_same_points_covered(down: int, across: int) -> None:
     assert native.covered(margin[:0], points[:0], moved, 4).shape == (0, 500)
     strided = native.covered(margin[:, :, ::-1], points[:, ::2], moved, 4)
     assert np.array_equal(strided, native.covered(margin[:, :, ::-1].copy(), points[:, ::2].copy(), moved, 4))
-
-
-def test_refuses_what_does_not_fit() -> None:
-    frames, image = np.zeros((2, 1, 16, 16), np.uint8), np.ones((1, 1, 16, 16), np.float32)
-    limits = np.zeros(2, np.float32)
-    sizes: dict[str, Any] = {"median_px": 3, "radius": 8, "cell": 4}
-    for name, value, said in (("median_px", 4, "odd sizes"), ("median_px", 17, "odd sizes"), ("radius", 0, "radius")):
-        with pytest.raises(ValueError, match=said):
-            contact_of_frames(frames, image, image, limits, **{**sizes, name: value})
-    with pytest.raises(ValueError, match="cells of 3 px"):
-        contact_of_frames(frames, image, image, limits, median_px=3, radius=8, cell=3)
-    with pytest.raises(ValueError, match="limits is"):
-        contact_of_frames(frames, image, image, limits[:1], **sizes)
-    with pytest.raises(TypeError, match="black is float64"):
-        contact_of_frames(frames, image, image.astype(np.float64), limits, **sizes)
-    with pytest.raises(TypeError, match="frames are >u2"):
-        contact_of_frames(frames.astype(">u2"), image, image, limits, **sizes)
-    with pytest.raises(ValueError, match="give \\(B, 1, H, W\\)"):
-        contact_of_frames(frames[:, 0], image, image, limits, **sizes)
-    with pytest.raises(ValueError, match="light of"):
-        native.contact_threshold(frames, image[..., 1:], image, median_px=3, radius=8, stride_px=1)
-    with pytest.raises(ValueError, match="gains is"):
-        native.contact_threshold(frames, image, image, limits[1:], median_px=3, radius=8, stride_px=1)
-    with pytest.raises(ValueError, match="one pixel of 0"):
-        native.contact_threshold(frames, image, image, median_px=3, radius=8, stride_px=0)
-    points, transform = np.zeros((1, 3, 2), np.float32), np.zeros((2, 3), np.float32)
-    with pytest.raises(ValueError, match="points is"):
-        native.covered(image, points[..., :1], transform, 4)
-    with pytest.raises(ValueError, match="transform is"):
-        native.covered(image, points, transform.T, 4)
-    with pytest.raises(ValueError, match="density_margin"):
-        native.covered(image[:, :, :0], points, transform, 4)

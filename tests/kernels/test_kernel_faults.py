@@ -3,18 +3,17 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
 
-import numpy as np
 import pytest
 import torch
 
-from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points
+from fingerflow.kernels import library
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import HEADER, read
 from fingerflow.kernels.library import entry
-from fingerflow.kernels.tracking_limits import NUMBERS
+from tests.embedded import tensors_of
+from tests.kernels.kernel_calls import kernel_calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -22,7 +21,6 @@ NO_MEMORY, ERROR, UNKNOWN, NO_THREAD = 1, 2, 3, 4  # of kernels/parallel.h
 ANY, CALLER, POOL = 0, 1, 2
 
 FRAMES = torch.arange(2 * 200 * 64, dtype=torch.int64).remainder(251).to(torch.uint8).reshape(2, 1, 200, 64)
-MASK = FRAMES > 100
 
 
 @pytest.fixture(autouse=True)
@@ -32,70 +30,9 @@ def no_fault_stays(torch_threads: Callable[[int], None]) -> Iterator[None]:
     kernels.inject_fault(0)
 
 
-def calls() -> dict[str, Callable[[], object]]:
-    """Functions of all subjects, with work for several threads."""
-    light, limits = torch.full((1, 1, 200, 64), 200.0), torch.full((2,), 0.5)
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(2, 40, 2, generator=generator) * 40 + 10
-    variance = torch.ones(2)
-    templates = kernels.prepare_templates(FRAMES, points, None, variance, 11, True, 0.0)
-    coefficients = FRAMES.float()
-    lit, sizes = [one.numpy() for one in (FRAMES, light, 0 * light, limits)], {"median_px": 3, "radius": 8}
-    return {
-        "median": lambda: kernels.median(FRAMES, 5),
-        "real_contact_mask": lambda: kernels.real_contact_mask(FRAMES, light, 0 * light, limits, 3),
-        "light_gain": lambda: kernels.light_gain(FRAMES, light, 0 * light, 8),
-        "contact_of_frames": lambda: arrays_of(contact_frames.contact_of_frames(*lit, cell=4, **sizes)),
-        "block_means": lambda: arrays_of(block_means.block_means(lit[0], (2, 2), (4, 4))),
-        "contact_threshold": lambda: arrays_of(
-            [contact_frames.contact_threshold(*lit[:3], stride_px=1, **sizes)],
-        ),
-        "apparent_contact": lambda: kernels.apparent_contact(MASK, 8, 4),
-        "mean_response": lambda: kernels.mean_response(FRAMES),
-        "halve": lambda: kernels.halve(FRAMES),
-        "corners": lambda: kernels.corners(
-            FRAMES, None, variance, count=9, min_distance=3.0, quality=0.1, window=5, border=0
-        ),
-        "prepare_templates": lambda: kernels.prepare_templates(FRAMES, points, None, variance, 11, True, 0.0),
-        "find_templates": lambda: kernels.find_templates(templates, FRAMES, points, None, None, 1, 0.0, 1.0, 0.5),
-        "find_pairs": lambda: kernels.find_pairs(
-            FRAMES, FRAMES, points, None, variance, points, 11, True, 8, 0.0, 1.0, 0.5
-        ),
-        "local_gradients": lambda: kernels.local_gradients(
-            points, points, points, None, radius=20.0, least_spread=0.1, minimum_points=5
-        ),
-        "flow_integrate": lambda: kernels.flow_integrate(coefficients.repeat(1, 1, 8, 8), [0.25, 0.5, 0.25]),
-        **on_arrays(),
-    }
-
-
-def on_arrays() -> dict[str, Callable[[], object]]:
-    """Functions that take NumPy arrays alone."""
-    random = np.random.default_rng(0)
-    points = random.uniform(10, 190, (60, 2)).astype(np.float32)
-    moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
-    covariance = np.broadcast_to(np.eye(2, dtype=np.float32), (2, 60, 2, 2))
-    frame = FRAMES[:1].numpy()
-    search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
-    return {
-        "correct_points": lambda: deformation.correct_points(
-            points, moved, covariance, np.ones((60, NUMBERS), np.float32), covariance[0], window=25, gauge_px=120.0
-        ),
-        "find_outliers": lambda: tracked_points.find_outliers(
-            tracked_points.find_neighbours(points, 120.0), moved - points, np.ones((2, 60), np.float32)
-        ),
-        "search_and_return": lambda: tracked_points.search_and_return(frame, frame, points, points, **search),
-        "detect_points": lambda: tracked_points.detect_points(
-            frame.repeat(2, axis=2), np.ones((400, 64), np.bool_), 20, min_distance_px=6.0, window=9
-        ),
-    }
-
-
-def arrays_of(results: Iterable[Any]) -> tuple[torch.Tensor, ...]:
-    return tuple(torch.from_numpy(one) for one in results)
-
-
-CALLS = calls() if kernels.serve() else {}
+#: Their pieces are not given to the pool.
+UNDIVIDED = {"covered", "otsu_threshold", "skin_chain"}
+CALLS = {name: call for name, call in kernel_calls().items() if name not in UNDIVIDED} if kernels.serve() else {}
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -108,10 +45,11 @@ def test_a_fault_has_its_own_exception_and_the_name_of_the_kernel(
     right = CALLS[name]()
     for piece in (0, -1):
         kernels.inject_fault(fault, piece)
-        with pytest.raises(raised, match=f"kernel {name}"):
+        with pytest.raises(raised, match=f"kernel {name.split()[0]}"):
             CALLS[name]()
     kernels.inject_fault(0)
-    assert_same(CALLS[name](), right)
+    for one, other in zip(tensors_of(CALLS[name]()), tensors_of(right), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)
 
 
 @pytest.mark.parametrize("thread", [CALLER, POOL])
@@ -162,12 +100,6 @@ for threads in (1, 3):
     assert ran.stdout.count("kernel search_windows: no memory") == 2, ran.stdout
 
 
-def test_a_search_wider_than_its_numbers_is_refused() -> None:
-    images, place = torch.zeros(1, 1, 8, 8), torch.zeros(1, 2)
-    with pytest.raises(ValueError, match="ends at 32768 px"):
-        kernels.search_windows(images, images, torch.zeros(1, dtype=torch.int64), place, place, (1 << 22) + 1, 0)
-
-
 def test_arguments_go_by_the_names_of_the_header() -> None:
     with pytest.raises(TypeError, match=r"kernel covered .*'transform'"):
         entry("covered")(points=None)
@@ -193,15 +125,3 @@ def test_every_declaration_is_in_the_library() -> None:
 def test_a_declaration_that_cannot_be_packed_is_refused(declaration: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read(declaration)
-
-
-def assert_same(result: object, other: object) -> None:
-    if isinstance(result, torch.Tensor):
-        assert isinstance(other, torch.Tensor)
-        torch.testing.assert_close(result, other, rtol=0, atol=0, equal_nan=True)
-    elif isinstance(result, np.ndarray):
-        np.testing.assert_array_equal(result, other)
-    elif isinstance(result, tuple):
-        assert isinstance(other, tuple)
-        for one, another in zip(result, other, strict=True):
-            assert_same(one, another)

@@ -9,16 +9,11 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.track import DeformationGraph
-from fingerflow.kernels import deformation
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
-from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.tracking import outliers
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
-from tests.graphs.test_track_graph import grid, picture
-from tests.kernels.test_kernel_search import skin, starts
+from tests.kernels.twins import places_in_skin, skin
 from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
 
@@ -27,108 +22,6 @@ pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernel
 Array = NDArray[Any]
 Portable = Callable[[Callable[[], Any]], Any]
 Threads = Callable[[int], None]
-
-# Two units in the last place of positions up to 512 px: sums of the same terms in another order.
-ROUNDING_PX = 1.3e-4
-
-
-def some_points(count: int, frames: int, seed: int = 0) -> tuple[Array, ...]:
-    """Arguments of `correct_points`: a press with noise, of whose points some are lost and one has no place."""
-    random = np.random.default_rng(seed)
-    start = random.uniform((40, 40), (500, 440), (count, 2)).astype(np.float32)
-    from_middle = start - 250.0
-    moved = from_middle @ np.array([[0.02, 0.004], [-0.006, -0.015]]).T + 2e-5 * from_middle**2
-    points = (start + moved + random.normal(0, 0.02, (frames, count, 2))).astype(np.float32)
-    covariance = (random.uniform(1e-4, 1e-3, (frames, count, 1, 1)) * np.eye(2)).astype(np.float32)
-    lost = random.uniform(size=(frames, count)) < 0.1
-    points[lost], covariance[lost] = np.nan, np.nan
-    numbers = random.normal(0, 1, (count, NUMBERS)).astype(np.float32)
-    numbers[:, Number.NOISE] = random.uniform(0.5, 2, count)
-    numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = (1e-4, 0, 1e-4)
-    numbers[:, Number.BENDING :] = random.uniform(0, 2e4, (count, 10))
-    inverse = (np.eye(2) + random.normal(0, 0.01, (count, 2, 2))).astype(np.float32)
-    if count > 5:
-        start[2], numbers[2], points[:1, 3] = np.nan, np.nan, np.inf
-        covariance[:1, 4] = 0
-    return start, points, covariance, numbers, inverse
-
-
-def by_graph(window: int, *arrays: Array) -> list[Array]:
-    """By the portable form."""
-    given = [torch.from_numpy(np.ascontiguousarray(one)) for one in arrays]
-    error = given[1][..., 0]
-    found = Found(given[1], error, given[2], torch.zeros(error.shape, dtype=torch.uint8), given[1])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "serve", lambda *_: False)
-        result = DeformationGraph(window)(given[0][None], found, given[3][None], given[4][None])
-    return [one.numpy() for one in (result.found.points, result.found.covariance, *result[1:])]
-
-
-def assert_corrected(result: deformation.CorrectedPoints[Any], expected: list[Array]) -> None:
-    """The fits of the portable form are products of matrices: a few units of 1e-5 of a gradient off where points are
-    few.
-    """
-    warp = 2e-5
-    tolerances = {
-        "points": ROUNDING_PX,
-        "covariance": warp / 100,
-        "warp": warp,
-        "shift": 20 * warp,
-        "expected": ROUNDING_PX,
-    }
-    for (name, tolerance), one, other in zip(tolerances.items(), result, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=tolerance, equal_nan=True, err_msg=name)
-
-
-@pytest.mark.parametrize(("count", "frames"), [(700, 1), (300, 4), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0)])
-def test_corrected_as_by_the_graph(count: int, frames: int, instruction_set: int, torch_threads: Threads) -> None:
-    given = some_points(count, frames)
-    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
-    assert_corrected(result, by_graph(25, *given))
-    torch_threads(3)
-    for one, other in zip(result, deformation.correct_points(*given, window=25, gauge_px=120.0), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_corrected_in_a_picture() -> None:
-    """Templates that do not know that the skin is stretched."""
-    stretched = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
-    middle = torch.tensor([180.0, 150.0], dtype=torch.float64)
-    points = grid()
-    truth = ((points.double() - middle) @ stretched.T + middle).float()
-    warp = torch.eye(2).repeat(1, points.shape[1], 1, 1)
-    templates = prepare_templates(picture(torch.eye(2, dtype=torch.float64)), points, 25, warp)
-    found = find_templates(templates, picture(stretched), truth)
-    tensors = (points[0], found.points, found.covariance, templates.numbers[0], inverse_2x2(warp)[0])
-    given = [one.numpy() for one in tensors]
-    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
-    assert_corrected(result, by_graph(25, *given))
-    before, after = (np.linalg.norm(one - truth.numpy(), axis=-1) for one in (found.points.numpy(), result.points))
-    assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
-
-
-def test_arrays_that_are_views() -> None:
-    given: Any = some_points(60, 4)
-    views: Any = [np.repeat(one, 2, axis=0)[::2] for one in given]
-    views[1], views[2] = (np.asfortranarray(one) for one in given[1:3])
-    for one, other in zip(
-        deformation.correct_points(*views, window=25, gauge_px=120.0),
-        deformation.correct_points(*given, window=25, gauge_px=120.0),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_wrong_arrays_of_corrections_are_named() -> None:
-    given: dict[str, Any] = dict(
-        zip(("start", "points", "covariance", "numbers", "inverse_warp"), some_points(9, 2), strict=True)
-    )
-    for name, array in given.items():
-        for wrong in (array.astype(np.float64), array[..., :1]):
-            with pytest.raises(ValueError, match=f"{name} is"):
-                deformation.correct_points(**{**given, name: wrong}, window=25, gauge_px=120.0)
-    with pytest.raises(ValueError, match="gauge length of 0"):
-        deformation.correct_points(**given, window=25, gauge_px=0)
 
 
 def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.OutlierFlags:
@@ -182,37 +75,22 @@ def test_the_same_neighbours() -> None:
     np.testing.assert_array_equal(found.y[:, :count], expected.offset[0, ..., 1].numpy())
 
 
-def test_wrong_arrays_of_outliers_are_named() -> None:
-    neighbours = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
-    moved, deviation = np.zeros((2, 700, 2), np.float32), np.ones((2, 700), np.float32)
-    with pytest.raises(ValueError, match="displacement is float64"):
-        native.find_outliers(neighbours, moved.astype(np.float64), deviation)
-    with pytest.raises(ValueError, match="position_std is"):
-        native.find_outliers(neighbours, moved, deviation[:1])
-    with pytest.raises(ValueError, match="600 points, and neighbours of 689 to 704"):
-        native.find_outliers(neighbours, moved[:, :600], deviation[:, :600])
-    with pytest.raises(ValueError, match="there are 700 points"):
-        native.find_outliers(neighbours._replace(number=neighbours.number + 9), moved, deviation)
-    with pytest.raises(ValueError, match="1 points have no neighbours"):
-        native.find_neighbours(np.zeros((1, 2), np.float32), 120.0)
-
-
 @pytest.mark.parametrize(("window", "radius"), [(25, 8), (21, 6), (9, 1), (15, 24)])
 def test_the_same_search_both_ways(window: int, radius: int, instruction_set: int, torch_threads: Threads) -> None:
     """Bit for bit: the kernels are those of the two searches. Of 8 bit, 16 bit and floating images."""
     torch_threads(3)
     key, current = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
     index = torch.arange(40) % 2
-    guess = starts() + 0.3
+    guess = places_in_skin() + 0.3
     guess[0, 0], guess[1, 1], guess[2, 0] = torch.nan, torch.inf, 1e30
     for kinds in ((torch.float32, torch.float32), (torch.uint8, torch.uint16)):
         images = [one.clamp(0, 255).to(kind) for one, kind in zip((key, current), kinds, strict=True)]
-        expected = search_and_return(images[0], images[1], index, starts(), guess, window, radius, 1.0)
+        expected = search_and_return(images[0], images[1], index, places_in_skin(), guess, window, radius, 1.0)
         one, other = (image.numpy() for image in images)
         for given in ((one, other), (np.repeat(one, 2, axis=3)[..., ::2], np.repeat(other, 2, axis=2)[:, :, ::2])):
             found = native.search_and_return(
                 *given,
-                starts().numpy(),
+                places_in_skin().numpy(),
                 guess.numpy(),
                 window=window,
                 radius=radius,
@@ -313,21 +191,6 @@ def test_points_of_views_and_of_equal_strength() -> None:
     strongest = first.points[first.response == first.response[0]]
     assert len(strongest) > 4
     np.testing.assert_array_equal(strongest, strongest[np.lexsort((strongest[:, 0], strongest[:, 1]))])
-
-
-def test_wrong_arrays_of_detection_are_named() -> None:
-    frame = PICTURES["small"]
-    mask = np.ones(frame.shape[2:], bool)
-    for given, message in (
-        ((frame.astype(np.float64), mask, 5), "float64"),
-        ((np.concatenate((frame, frame)), mask, 5), "2, 1, 20, 24"),
-        ((frame[..., :6], mask[:, :6], 5), "7 x 7 px"),
-        ((frame, mask[:, 1:], 5), "a mask of"),
-        ((frame, mask.astype(np.uint8), 5), "uint8"),
-        ((frame, mask, 0), "0 points"),
-    ):
-        with pytest.raises((TypeError, ValueError), match=message):
-            native.detect_points(*given, min_distance_px=6.0, window=15)
 
 
 def chosen(points: Array) -> set[tuple[float, float]]:

@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
+from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, widest
 
 _LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
@@ -65,10 +66,9 @@ def apparent_contact(
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W), `radius` lies outside 1 to 255, or a cell is larger than the boxes.
     """
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1 or 0 in mask.shape[2:]:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
+    check_mask(mask)
+    if 0 in mask.shape[2:]:
+        raise ValueError(f"the mask has shape {tuple(mask.shape)}: it has no pixel")
     if not 1 <= radius <= 255:
         raise ValueError(f"a radius of {radius} px: give 1 to 255")
     side = cell or cell_of(radius)

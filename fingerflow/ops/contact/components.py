@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.checks import check_mask
+
 
 def fill_holes(mask: Tensor) -> Tensor:
     """Fill the holes of masks: background that no 4-connected path joins to the border of the frame.
@@ -25,7 +27,7 @@ def fill_holes(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if mask.numel() == 0:
         return mask.clone()
     height, width = mask.shape[-2:]
@@ -51,7 +53,7 @@ def largest_component(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     if mask.numel() == 0:
         return mask.clone()
     runs = _find_runs(mask)
@@ -121,10 +123,3 @@ def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
         shorter = root[root]
         while not torch.equal(shorter, root):
             root, shorter = shorter, shorter[shorter]
-
-
-def _check(mask: Tensor) -> None:
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")

@@ -11,7 +11,7 @@ from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.otsu import Classes, histogram, otsu_classes
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
-from fingerflow.ops.filters.illumination import LEVEL_RANGE, levels_per_unit
+from fingerflow.ops.filters.illumination import LEVELS_PER_UNIT, LOWEST_SIGNAL
 from fingerflow.ops.filters.quantile import median_of_counts
 from fingerflow.ops.filters.strided_median import median_at
 from fingerflow.ops.pieces import frames_at_once, in_pieces
@@ -70,7 +70,7 @@ def _threshold(
     median_px: int, radius: int, stride_px: int, frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None
 ) -> Tensor:
     kind, lit = light.dtype, light > 0
-    low, scale = LEVEL_RANGE[0], levels_per_unit(*LEVEL_RANGE)
+    low, scale = LOWEST_SIGNAL, LEVELS_PER_UNIT
     lost = (1 - low) * scale - (frames.to(kind) - black) * (scale / torch.where(lit, light, 1.0))
     if frames.is_floating_point():
         lit = lit & (lost.abs() < torch.inf)

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow.ops.checks import check_mask
+
 
 class FittedEllipse(NamedTuple):
     """Ellipses of B masks, float64.
@@ -39,7 +41,7 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area
@@ -69,17 +71,10 @@ def mask_moments(mask: Tensor) -> Tensor:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    _check(mask)
+    check_mask(mask)
     filled = mask[:, 0]
     y, x = (torch.arange(length, device=mask.device) for length in filled.shape[1:])
     columns, rows = filled.sum(1), filled.sum(2)
     along = torch.where(filled, x, 0).sum(2)
     sums = columns, along, rows * y, columns * x * x, along * y, rows * y * y
     return torch.stack([some.sum(1) for some in sums], 1)
-
-
-def _check(mask: Tensor) -> None:
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")

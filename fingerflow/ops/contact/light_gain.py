@@ -60,15 +60,10 @@ def _blocks(lines: Tensor, block: int) -> Tensor:
     """Return the sums (B, 2, N) over blocks of the lines read (B, 1, h, W), every fourth of a frame, and of their
     squares.
     """
-    result: Tensor = torch.cat([_sums(one, block) for one in (lines, lines * lines)], dim=1)
-    return result
-
-
-def _sums(lines: Tensor, block: int) -> Tensor:
     height, width = lines.shape[-2:]
     rows = block // _STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
-    down = cut.unflatten(2, (-1, rows)).sum(3)
+    down = torch.cat((cut, cut * cut), dim=1).unflatten(2, (-1, rows)).sum(3)
     result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(2)
     return result
 

@@ -1,9 +1,11 @@
-"""Otsu's threshold (1979) from a histogram, and the separability of the two classes."""
+"""Otsu's threshold (1979) from a histogram."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from fingerflow.ops.checks import check_frames
 
 _BINS = 256
 
@@ -21,20 +23,6 @@ class Classes(NamedTuple):
     lower: Tensor
     upper: Tensor
     deviation: Tensor
-
-
-class ClassSeparation(NamedTuple):
-    """Statistics of the pixels up to a threshold (index 0) and above it (index 1), float64.
-
-    `fractions`, `means`, `deviations` are (B, 2). `separability` (B,) is Otsu's eta, the share of the variance that
-    lies between the two means: 1 for two single values, 2/pi for a Gaussian cut in the middle, 3/4 for a uniform
-    distribution. A value well above 2/pi indicates two classes; one near 2/pi indicates noise without contact.
-    """
-
-    fractions: Tensor
-    means: Tensor
-    deviations: Tensor
-    separability: Tensor
 
 
 def histogram(
@@ -126,53 +114,8 @@ def otsu_classes(counts: Tensor) -> Classes:
     return Classes(*(result.squeeze(1) for result in results))
 
 
-def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = None) -> ClassSeparation:
-    """Compute means, deviations and Otsu's separability of the two classes on either side of a threshold.
-
-    Args:
-        frames: (B, 1, H, W), integers or floating; NaN and infinities do not count.
-        threshold: (B,), as from `otsu_threshold`.
-        mask: (B or 1, 1, H, W) bool, the pixels that count; None for all.
-
-    Returns:
-        `ClassSeparation`; NaN for an empty class, and everywhere where the threshold is NaN. Separability is NaN when
-        either class is empty or all pixels are equal.
-
-    Raises:
-        ValueError: `threshold` is not (B,).
-    """
-    _check(frames)
-    if threshold.shape != frames.shape[:1]:
-        raise ValueError(f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one a frame")
-    values = frames.flatten(1).double()
-    counted = torch.isfinite(values)
-    if mask is not None:
-        counted = counted & mask.expand(frames.shape).flatten(1)
-    limit = threshold.double()[:, None]
-    above = values > limit
-    member = torch.stack([counted & ~above, counted & above], 1).double()
-    # Moments about the threshold, which lies between the classes, so that their squares lose no digits.
-    centre = torch.nan_to_num(limit)
-    from_centre = torch.where(counted, values - centre, 0.0)
-    powers = torch.stack([torch.ones_like(from_centre), from_centre, from_centre.square()], 1)
-    number, first, second = (powers @ member.mT).unbind(1)
-    number = torch.where(limit.isnan(), torch.nan, number)
-    means = first / number
-    variances = (second / number - means.square()).clamp(min=0)
-    means = means + centre
-    fractions = number / number.sum(1, keepdim=True)
-    between = fractions.prod(1) * (means[:, 1] - means[:, 0]).square()
-    separability = between / (between + (fractions * variances).sum(1))
-    return ClassSeparation(fractions, means, variances.sqrt(), separability)
-
-
-def _check(frames: Tensor) -> None:
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
-
-
 def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[float, float]:
-    _check(frames)
+    check_frames(frames)
     if value_range is None:
         if frames.dtype != torch.uint8:
             raise ValueError(

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.checks import check_frames, check_window
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 from fingerflow.ops.tensors import bytes_of
@@ -30,13 +31,11 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
     Raises:
         ValueError: shapes that do not fit, or an even side.
     """
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+    check_frames(frames)
+    check_window(median_px)
     for name, image in (("light", light), ("black", black)):
         if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
             raise ValueError(f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
-    if median_px < 1 or median_px % 2 == 0:
-        raise ValueError(f"a median window of {median_px} x {median_px} has no centre pixel: use an odd size")
     if limit.shape != frames.shape[:1]:
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
     # At most the full light, so that a saturated pixel is never in contact.

@@ -15,7 +15,7 @@ from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
 from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
-from fingerflow.ops.tensors import finite, sum_rows
+from fingerflow.ops.tensors import finite, products, sum_rows, symmetric
 
 _FAR = 1e3  # radii: coordinate of excluded points, far from all positions
 _TINY = 1e-30
@@ -284,11 +284,11 @@ def _beside(
     which sum w^2 d d' is 0.4 sum w d d'.
     """
     number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
-    mean = _symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
-    slopes = _symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
+    mean = symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
+    slopes = symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
     sensitivity = _sensitivity(gradient, measure)
-    by_slopes = _times(sensitivity, slopes[:, None])
-    variance = (_times(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
+    by_slopes = products(sensitivity, slopes[:, None])
+    variance = (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
     away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
     result: Tensor = (1 - away).clamp_min(0).square()
     return result
@@ -303,38 +303,20 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
     """
     xx, xy, yx, yy = gradient.split(1, dim=1)
     onward = torch.cat((1 + xx, yx, xy, 1 + yy), dim=1).unflatten(1, (2, 2))  # (I + H)'
-    around = _times(onward, _symmetric(fit.inverse / fit.mass))
+    around = products(onward, symmetric(fit.inverse / fit.mass))
     # Derivatives with respect to the position of a point, and to that of the centroid.
-    around = torch.cat((around, _times(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
-    columns = (_times(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
+    around = torch.cat((around, products(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
+    columns = (products(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
     result: Tensor = (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
     return result
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """Return `field_sensitivity` (B, 5, 2, 2, Q) of gradients (B, 4, Q)."""
+    """Return derivatives (B, 5, 2, 2, Q) of the five fields with respect to gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
     result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
-    return result
-
-
-def _symmetric(three: Tensor) -> Tensor:
-    """Return symmetric matrices (B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
-    xx, xy, yy = three.split(1, dim=1)
-    result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
-    return result
-
-
-def _times(left: Tensor, right: Tensor) -> Tensor:
-    """Return the products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
-
-    Written out, since batched products of small matrices take longer.
-    """
-    first, second = left.split(1, dim=-2)
-    upper, lower = right.split(1, dim=-3)
-    result: Tensor = first * upper + second * lower
     return result
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.ops.looking import looks
-from fingerflow.ops.tensors import components_first, finite, sum_rows
+from fingerflow.ops.tensors import components_first, finite, products, sum_rows, symmetric
 
 _TINY = 1e-20
 _ONE = 2.0**-60  # stands for 1 in counts: less than any positive value here, so that clamping makes all equal
@@ -143,14 +143,9 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
     xx = xx - 2 * x * along_x + x * x * plain
     xy = xy - x * along_y - y * along_x + x * y * plain
     yy = yy - 2 * y * along_y + y * y * plain
-    a, b, d = (fit.inverse[:, None, k : k + 1] for k in range(3))
-    left_xx, left_xy, left_yx, left_yy = a * xx + b * xy, a * xy + b * yy, b * xx + d * xy, b * xy + d * yy
-    rows = (
-        (left_xx * a + left_xy * b, left_xx * b + left_xy * d),
-        (left_yx * a + left_yy * b, left_yx * b + left_yy * d),
-    )
-    pairs = torch.cat([number for row in rows for number in row], dim=2) / radius**2  # (B, 3, 4, Q)
-    full = pairs[:, (0, 1, 1, 2)].unflatten(2, (2, 2)).unflatten(1, (2, 2))  # (B, i, k, j, l, Q)
+    bread, filling = symmetric(fit.inverse)[:, None], torch.cat((xx, xy, xy, yy), dim=2).unflatten(2, (2, 2))
+    pairs = products(products(bread, filling), bread) / radius**2  # (B, 3, 2, 2, Q)
+    full = pairs[:, (0, 1, 1, 2)].unflatten(1, (2, 2))  # (B, i, k, j, l, Q)
     result: Tensor = full.permute(0, 5, 1, 3, 2, 4)
     return result
 

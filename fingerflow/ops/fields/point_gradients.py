@@ -1,7 +1,5 @@
 """Displacement gradients at the points themselves, at fixed cost."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -59,13 +57,6 @@ def _gradients(
     return gradient, gradient_covariance(fitted, places, planes, radius) + 0 * gradient[..., None, None]
 
 
-class NeighbourPlanes(NamedTuple):
-    """Planes fitted around N points: values (B, N, C) at the points, and gradients (B, N, C, 2)."""
-
-    value: Tensor
-    gradient: Tensor
-
-
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
     """Return the `Support` for the portable form of `neighbour_planes`, to be reused for all values at these positions.
 
@@ -79,8 +70,8 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
 
 def neighbour_planes(
     reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
-) -> NeighbourPlanes:
-    """Return `local_gradients` of values (B, N, C) at all given reference positions (1 or B, N, 2).
+) -> tuple[Tensor, Tensor]:
+    """Return values (B, N, C) and gradients (B, N, C, 2) of `local_gradients` at reference positions (1 or B, N, 2).
 
     A point without a value of its own gets the fit of its neighbours. A point with one unknown component counts as
     unknown. Compiled and portable forms are as for `point_gradients`; the latter can reuse the `neighbours_support` of
@@ -88,14 +79,14 @@ def neighbour_planes(
     """
     if kernels.serve(reference, values):
         fit = local_gradients(reference, values, gauge_length=gauge_length)
-        return NeighbourPlanes(fit.value, fit.gradient)
+        return fit.value, fit.gradient
     radius = gauge_length / 2
     places, given = about_their_mean(reference, radius)
     usable = given & finite(sum_rows(values.mT))
     fitted = fit_planes(places, values.mT, places, usable, radius, support)
     known = fitted.known & given
     value, gradient = (torch.where(known, one, torch.nan).mT for one in (fitted.value, fitted.gradient))
-    return NeighbourPlanes(value, gradient.unflatten(2, (-1, 2)))
+    return value, gradient.unflatten(2, (-1, 2))
 
 
 def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:

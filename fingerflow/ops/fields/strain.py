@@ -109,27 +109,12 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
     return energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, young_modulus_mpa, poisson_ratio)
 
 
-def stress(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
-    """Return the stress (..., 3) as (sxx, syy, sxy), MPa, for strain (..., 3) and `strain_energy_density`."""
-    return torch.stack(stress_parts(*_components(strain), young_modulus_mpa, poisson_ratio), dim=-1)
-
-
 def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return sxx, syy and sxy of `stress` as separate tensors."""
+    """Return the stresses sxx, syy and sxy, MPa, of strains exx, eyy and exy for `strain_energy_density`."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
-
-
-def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
-    """Return the mean contribution (...) of strain errors to `strain_energy_density`, mJ/mm^3.
-
-    The density is a quadratic form of the strain, so this is the same form of the strain's covariance (..., 4):
-    variances of exx, eyy and exy, and the covariance of exx and eyy, as in `strain_covariance`.
-    """
-    exx, eyy, exy, between = covariance.unbind(-1)
-    return energy_form(exx, eyy, exy, between, young_modulus_mpa, poisson_ratio)
 
 
 def energy_form(

@@ -21,28 +21,11 @@ def curl_std(covariance: Tensor) -> Tensor:
     return _root(vx[..., 1, 0] - vx[..., 0, 1] - uy[..., 1, 0] + uy[..., 0, 1])
 
 
-def strain_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the standard deviations (..., 3) of the (exx, eyy, exy) of `green_lagrange` for this gradient and measure.
-
-    They are of first order in the error of the gradient, which is exact for "infinitesimal".
-
-    Raises:
-        ValueError: another measure.
-    """
-    return _deviation(strain_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
-
-
-def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the derivatives (..., 3, 2, 2) of (exx, eyy, exy) with respect to the displacement gradient (..., 2, 2).
-
-    Raises:
-        ValueError: another measure.
-    """
-    return field_sensitivity(gradient, measure)[..., 2:, :, :]
-
-
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
-    """Return the 20 elements of `field_sensitivity` as separate tensors, from du/dx, du/dy, dv/dx and dv/dy."""
+    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the gradient.
+
+    They are 20 separate tensors, four of each field, as are the elements du/dx, du/dy, dv/dx and dv/dy of the gradient.
+    """
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     none, one = torch.zeros_like(ux), torch.ones_like(ux)
@@ -57,44 +40,27 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, to first order."""
-    return _deviation(field_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
-
-
-def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy with respect to the gradient."""
     (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
-    result: Tensor = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
-    return result
-
-
-def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:
-    """Return the contribution of each corner of a triangle to the covariance of its strain.
-
-    It is (..., 3, 4): the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of
-    a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched
-    by some per cent makes this wrong by about as much, for all measures.
-
-    Args:
-        slopes: (..., 3, 2) of `triangle_slopes`.
-        covariance: (..., 3, 2, 2) of the displacement of each corner, independent of the others; the sum over corners
-            is the covariance of the strain.
-    """
-    x, y = slopes.unbind(-1)
-    uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    return torch.stack(strain_covariance_parts(x * x, x * y, y * y, uu, uv, vv), dim=-1)
+    sensitivity = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
+    rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]
+    return _root((rows * covariance[..., None, :, :, :, :] * columns).sum((-4, -3, -2, -1)))
 
 
 def strain_covariance_parts(
     xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the four elements of `strain_covariance` as separate tensors, from products of slopes and a covariance."""
+    """Return the contribution of a corner of a triangle to the covariance of its strain.
+
+    These are the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of a corner
+    of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched by some
+    per cent makes this wrong by about as much, for all measures.
+
+    Args:
+        xx, xy, yy: products of the components of the corner's slope (`triangle_slopes`).
+        uu, uv, vv: covariance of the corner's displacement, independent of the other corners; the sum over corners is
+            the covariance of the strain.
+    """
     return xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
-
-
-def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:
-    """Return sqrt(s' C s) for s (..., 2, 2)."""
-    products = sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]
-    return _root(products.sum((-4, -3, -2, -1)))
 
 
 def _root(variance: Tensor) -> Tensor:

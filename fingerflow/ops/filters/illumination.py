@@ -9,8 +9,10 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.ops.filters.quantile import frame_quantile
 
-# Signal of levels 0 and 255. The range below 0 is for pixels brighter than the empty glass.
-LEVEL_RANGE = (-0.25, 1.0)
+# Signal of level 0, and levels per unit of the signal up to 1, level 255. The range below 0 is for pixels brighter than
+# the empty glass.
+LOWEST_SIGNAL = -0.25
+LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
 
 class NormalizedFrames(NamedTuple):
@@ -51,7 +53,9 @@ def normalize_illumination(
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
     """
     images = [image for image in (frames, reference, dark) if image is not None]
-    check_images(images, minimum_illumination)
+    if not 0 <= minimum_illumination < 1:
+        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
+    _check(images)
     precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
     empty, *black = (image.to(precision) for image in images[1:])
     light = empty - black[0] if black else empty
@@ -86,16 +90,12 @@ def glass_light(
     Raises:
         ValueError: shapes that do not fit.
     """
-    check_images([empty] if dark is None else [empty, dark], LEAST_LIGHT)
+    _check([empty] if dark is None else [empty, dark])
     counts = empty.to(precision)
     black = torch.zeros_like(counts) if dark is None else dark.to(precision).expand(counts.shape)
     light = counts - black
-    return torch.where(_lit(light, LEAST_LIGHT), light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
-
-
-def _lit(light: Tensor, minimum: float) -> Tensor:
-    """Return True where light (B, 1, H, W) exceeds a share of the full light of its frame."""
-    return _exceeds(light, minimum * _full_light(light))
+    lit = _exceeds(light, LEAST_LIGHT * _full_light(light))
+    return torch.where(lit, light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
 
 
 def _full_light(light: Tensor) -> Tensor:
@@ -123,44 +123,37 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
     return torch.where(normalized.valid & first.valid, first.frames - normalized.frames, 0.0)
 
 
-def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
-    """Quantise the contact signal to one byte: level = round(255 (signal - low) / (high - low)), saturating.
+def quantize(signal: Tensor) -> Tensor:
+    """Quantise the contact signal to one byte: level = round(204 (signal + 0.25)), saturating.
 
-    One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel. The median and Otsu's
-    threshold are computed from levels. A negative `low` keeps pixels brighter than the empty glass in range.
+    One level is 0.0049, below the noise of one 8-bit camera pixel. The median and Otsu's threshold are computed from
+    levels.
 
     Args:
         signal: any shape, floating. NaN becomes level 0, infinities saturate.
-        low, high: signal of levels 0 and 255.
 
     Returns:
         uint8 of the same shape.
-
-    Raises:
-        ValueError: `high` is not above `low`.
     """
-    scaled = (signal - low) * levels_per_unit(low, high)
+    scaled = (signal - LOWEST_SIGNAL) * LEVELS_PER_UNIT
     return torch.nan_to_num(scaled, nan=0.0).clamp(0, 255).round().to(torch.uint8)
 
 
-def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
+def dequantize(levels: Tensor) -> Tensor:
     """Return the contact signal of levels, the inverse of `quantize`, for example of a threshold on quantised frames.
 
     Args:
         levels: any shape, uint8 or floating; NaN stays NaN.
-        low, high: as given to `quantize`.
 
     Returns:
         float32, or the dtype of floating `levels`.
     """
     values = levels if levels.is_floating_point() else levels.float()
-    return values / levels_per_unit(low, high) + low
+    return values / LEVELS_PER_UNIT + LOWEST_SIGNAL
 
 
-def check_images(images: list[Tensor], minimum_illumination: float) -> None:
-    """Raise ValueError if the shapes of frames, reference and dark (in this order) or the limit are not valid."""
-    if not 0 <= minimum_illumination < 1:
-        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
+def _check(images: list[Tensor]) -> None:
+    """Raise ValueError if the shapes of frames, reference and dark (in this order) do not fit."""
     frames = images[0]
     for name, image in zip(("frames", "reference", "dark"), images, strict=False):
         fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
@@ -169,13 +162,3 @@ def check_images(images: list[Tensor], minimum_illumination: float) -> None:
                 f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
                 "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
             )
-
-
-def levels_per_unit(low: float, high: float) -> float:
-    """Return the number of levels per unit of the signal if `low` and `high` are levels 0 and 255.
-
-    Raises ValueError if `high` is not above `low`.
-    """
-    if not low < high:
-        raise ValueError(f"levels 0 to 255 cannot span {low} to {high}: high must be above low")
-    return 255 / (high - low)

@@ -11,6 +11,7 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import MedianProgram, Operand, Step, median_program, tile_program
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.ops.checks import check_frames, check_window
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
 LARGEST_TRACED = 11  # px, largest window whose network a compiler traces
@@ -46,7 +47,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
         ValueError: `frames` is not (B, 1, H, W), or `size` is even or under 1.
     """
-    _check(frames, size)
+    check_frames(frames)
+    check_window(size)
     if size == 1 or frames.numel() == 0:
         return frames.clone()
     if frames.dtype in kernels.MEDIAN_DTYPES and size <= kernels.LARGEST_MEDIAN and kernels.serve(frames):
@@ -69,10 +71,13 @@ def _by_network(frames: Tensor, size: int) -> Tensor:
 
 
 @kernels.constant_to_compiler
-def _planned(size: int) -> tuple[int, tuple[int, int], tuple[Any, ...], tuple[Any, ...]]:
-    """Return `median_program` as plain tuples: a compiler accepts only those as constants, and must not trace it."""
-    program = median_program(size)
-    return size, program.tile, tuple(map(tuple, program.steps)), tuple(map(tuple, program.outputs))
+def _planned(size: int) -> Any:
+    return plain(median_program(size))
+
+
+def plain(program: Any) -> Any:
+    """Return a program as plain tuples: a compiler accepts only those as constants, and must not trace their making."""
+    return tuple(map(plain, program)) if isinstance(program, tuple) else program
 
 
 def _alike(frames: Tensor, size: int) -> Tensor:
@@ -83,13 +88,6 @@ def _alike(frames: Tensor, size: int) -> Tensor:
 def large_median(frames: Tensor, size: int) -> Tensor:
     """Compute `median_filter` as one op for a compiler, which needs minutes for thousands of minima and maxima."""
     return _by_network(frames, size).contiguous()
-
-
-def _check(frames: Tensor, size: int) -> None:
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
-    if size < 1 or size % 2 == 0:
-        raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size")
 
 
 def _of_rows(frames: Tensor, size: int) -> Tensor:

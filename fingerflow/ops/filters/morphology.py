@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.checks import check_mask
+
 Shape = Literal["disc", "diamond"]
 
 
@@ -54,10 +56,7 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
     """Return the half width of each row of the shape, from -radius to radius; check the arguments of `dilate`."""
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
+    check_mask(mask)
     if radius < 0:
         raise ValueError(f"radius is {radius} px: give 0 or more")
     rows = range(-radius, radius + 1)

@@ -32,14 +32,9 @@ def estimate_noise(images: Tensor) -> Tensor:
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
-    response = absolute_responses(x)
+    step = max(1, min(4, x.shape[-2] // 64))
+    bent = x[..., :-2:step, :] - 2 * x[..., 1:-1:step, :] + x[..., 2::step, :]
+    response = (bent[..., :-2] - 2 * bent[..., 1:-1] + bent[..., 2:]).abs()
     usable = response < math.inf
     total = torch.where(usable, response, 0.0).sum((1, 2, 3))
     return math.sqrt(math.pi / 2) / 6 * (total / usable.to(x.dtype).sum((1, 2, 3)))
-
-
-def absolute_responses(images: Tensor) -> Tensor:
-    """Return the absolute responses (B, 1, h, W - 2) of floating images (B, 1, H, W), on the sampled rows."""
-    step = max(1, min(4, images.shape[-2] // 64))
-    bent = images[..., :-2:step, :] - 2 * images[..., 1:-1:step, :] + images[..., 2::step, :]
-    return (bent[..., :-2] - 2 * bent[..., 1:-1] + bent[..., 2:]).abs()

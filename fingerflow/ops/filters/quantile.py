@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.otsu import histogram
 
 _HALVINGS = 24
@@ -27,8 +28,7 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
     """
     if not 0 <= fraction <= 1:
         raise ValueError(f"fraction is {fraction}: a quantile needs a fraction from 0 to 1")
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+    check_frames(frames)
     if frames.shape[2:].numel() == 0:
         return torch.full(frames.shape[:1], torch.nan, dtype=torch.float64, device=frames.device)
     if frames.dtype == torch.uint8:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import join_program
-from fingerflow.ops.filters.median import median_filter, run_network
+from fingerflow.ops.filters.median import median_filter, plain, run_network
 
 # Step in px from which windows are computed independently: each then takes up to 7 times the operations of a window
 # that shares them with its neighbours.
@@ -75,7 +75,5 @@ def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_co
 
 
 @kernels.constant_to_compiler
-def _planned(size: int, first: int, second: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return `join_program` as plain tuples: a compiler accepts only those as constants, and must not trace it."""
-    steps, outputs = join_program(size, first, second)
-    return tuple(map(tuple, steps)), tuple(map(tuple, outputs))
+def _planned(size: int, first: int, second: int) -> Any:
+    return plain(join_program(size, first, second))

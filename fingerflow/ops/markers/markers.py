@@ -6,6 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.cells import widest
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.corners import choose_apart
@@ -111,8 +112,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
     Raises ValueError for another shape.
     """
-    if frames.ndim != 4 or frames.shape[1] != 1:
-        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+    check_frames(frames)
     image = frames.to(torch.float32)
     padded = look.polarity * _response(image, look.scale, margin=1)[:, 0]
     response = padded[:, None, 1:-1, 1:-1].contiguous()

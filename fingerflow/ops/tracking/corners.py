@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.cells import widest
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
@@ -133,8 +134,7 @@ def corner_response(frame: Tensor, window: int = 7) -> Tensor:
 
 
 def _check_frame(frame: Tensor, window: int) -> None:
-    if frame.ndim != 4 or frame.shape[1] != 1:
-        raise ValueError(f"frame has shape {tuple(frame.shape)}: give (B, 1, H, W)")
+    check_frames(frame)
     if window < 1 or window % 2 == 0:
         raise ValueError(f"window is {window} px: the structure tensor needs an odd one")
 

@@ -19,7 +19,7 @@ from fingerflow.kernels.deformation import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import neighbour_planes
-from fingerflow.ops.tensors import finite, sum_rows
+from fingerflow.ops.tensors import finite, products, sum_rows
 
 _TINY = 1e-20
 
@@ -65,7 +65,8 @@ def correct_points(
     laplacian = second[:, ::4] + second[:, 3::4]
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
     warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
-    unknown = _multiplied(warp, inverse_warp.flatten(2).mT.contiguous()) - identity
+    matrices = (one.unflatten(1, (2, 2)) for one in (warp, inverse_warp.flatten(2).mT.contiguous()))
+    unknown = products(*matrices).flatten(1, 2) - identity
     of = numbers.mT.contiguous()
     leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
     bulge = _or_zero(laplacian) * ((window**2 - 1) / 24)
@@ -92,13 +93,6 @@ def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) 
     least = torch.minimum(noise, of[:, Number.NOISE : Number.NOISE + 1])
     remaining = torch.maximum(noise - bending / freedom, least)
     return covariance * (remaining / noise.clamp_min(_TINY)).mT[..., None]
-
-
-def _multiplied(a: Tensor, b: Tensor) -> Tensor:
-    """Return products (K, 4, N) of matrices (K or 1, 4, N), components ordered xx, xy, yx, yy."""
-    rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))
-    result: Tensor = (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
-    return result
 
 
 def _or_zero(values: Tensor) -> Tensor:

@@ -1,12 +1,12 @@
 """Exhaustive search for windows that moved farther than Lucas-Kanade registration can follow."""
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
 from fingerflow.kernels.tracking_limits import SEARCH_TIE
+from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 
@@ -100,7 +100,7 @@ def _search_coarse(
     template = template - template.mean((-1, -2), keepdim=True)
     patch = patch - patch.mean((-1, -2), keepdim=True)
     product = _correlated(patch, template, span)
-    deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
+    deviation = box_sum(patch.square(), size) - box_sum(patch, size).square() / size**2
     # A window without contrast correlates with nothing; the bound keeps rounding errors from selecting one.
     least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(torch.float32).tiny
     score = torch.where(deviation > least, product / deviation.clamp_min(least).sqrt(), -torch.inf)
@@ -163,11 +163,3 @@ def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
         .nan_to_num(0.0)
         .clamp(-0.5, 0.5)
     )
-
-
-def _box_sum(x: Tensor, size: int) -> Tensor:
-    """Return sums (float64) over size x size windows of (P, h, w), from cumulative sums along each axis."""
-    total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
-    total = total[:, size:] - total[:, :-size]
-    total = F.pad(total.cumsum(2), (1, 0))
-    return total[:, :, size:] - total[:, :, :-size]

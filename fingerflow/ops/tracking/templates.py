@@ -114,9 +114,7 @@ def prepare_templates(
     Raises:
         ValueError: shapes do not match, or the window is even or too small.
     """
-    check_window(image, points, window)
-    if warp is not None and warp.shape != (*points.shape, 2):
-        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
+    check_points(image, points, window, warp)
     dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(image) if noise is None else noise).to(dtype).square()
     rounding = rounding_variance(image)
@@ -279,8 +277,8 @@ def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Foun
     return Found(*[one(whole, part) for whole, part in zip(found, again, strict=True)])
 
 
-def check_window(image: Tensor, points: Tensor, window: int) -> None:
-    """Raise ValueError if tracking cannot work with the image, the points or the window."""
+def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
+    """Raise ValueError if tracking cannot work with the image, the points, the window or the deformation."""
     if image.ndim != 4 or image.shape[1] != 1:
         raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
     if min(image.shape[-2:]) < 4:
@@ -291,6 +289,8 @@ def check_window(image: Tensor, points: Tensor, window: int) -> None:
         raise ValueError(f"points must be floating point, not {points.dtype}: use points.float()")
     if window < 5 or window % 2 == 0:
         raise ValueError(f"window must be odd and at least 5 px, not {window}")
+    if warp is not None and warp.shape != (*points.shape, 2):
+        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:

@@ -18,7 +18,7 @@ from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import (
     Found,
-    check_window,
+    check_points,
     find_templates,
     first_of,
     inverse_2x2,
@@ -283,15 +283,13 @@ def _check(
     passes: int,
     noise: Tensor | None,
 ) -> None:
-    check_window(previous, points, window)
+    check_points(previous, points, window, warp)
     if previous.shape != current.shape:
         raise ValueError(
             f"previous {tuple(previous.shape)} and current {tuple(current.shape)} must have the same shape"
         )
     if initial is not None and initial.shape != points.shape:
         raise ValueError(f"initial {tuple(initial.shape)} must have the shape of points {tuple(points.shape)}")
-    if warp is not None and warp.shape != (*points.shape, 2):
-        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
     if passes not in (1, 2):
         raise ValueError(f"passes must be 1 or 2, not {passes}")
     if noise is not None and noise.shape != (len(previous),):

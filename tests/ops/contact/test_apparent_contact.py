@@ -119,24 +119,3 @@ def test_empty_full_and_small_frames(shape: tuple[int, int, int]) -> None:
     full = apparent_contact(~empty, 3)
     assert full.covered_px.tolist() == batch * [height * width]
     assert full.density_margin.shape == (batch, 1, -(-height // 1), -(-width // 1))
-
-
-def test_frames_do_not_know_each_other() -> None:
-    masks = torch.cat([disc(100, radius, 9) for radius in (10, 30, 45)])
-    together = apparent_contact(masks, 5)
-    for k in range(3):
-        for whole, alone in zip(together, apparent_contact(masks[k : k + 1], 5), strict=True):
-            torch.testing.assert_close(whole[k : k + 1], alone, rtol=1e-5, atol=1e-5)
-
-
-def test_refuses_what_does_not_fit() -> None:
-    mask = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
-    with pytest.raises(TypeError, match="uint8"):
-        apparent_contact(mask.byte(), 3)
-    with pytest.raises(ValueError, match="shape"):
-        apparent_contact(mask[0], 3)
-    for radius in (0, 256):
-        with pytest.raises(ValueError, match=f"radius of {radius} px"):
-            apparent_contact(mask, radius)
-    with pytest.raises(ValueError, match="cells of 8 px"):
-        apparent_contact(mask, 3, 8)

@@ -91,13 +91,3 @@ def test_small_frames(shape: tuple[int, ...]) -> None:
     gains = light_gain(0.9 * light.expand(shape), light, 0 * light)
     assert gains.shape == shape[:1]
     assert gains.isnan().all() if min(shape[2:]) < 16 else gains.allclose(torch.tensor(0.9))
-
-
-def test_frames_do_not_know_each_other() -> None:
-    light = glass(128, 160)
-    views = torch.cat(
-        [frame(light, kept(128, 160, 0.3, 0.1, 0.04), gain, seed=k) for k, gain in enumerate((0.85, 1, 1.1))]
-    )
-    black = torch.full_like(light, 6.0)
-    together = light_gain(views, light, black)
-    assert torch.equal(together, torch.cat([light_gain(view[None], light, black) for view in views]))

@@ -87,15 +87,6 @@ def test_small_and_empty(shape: tuple[int, ...]) -> None:
     assert real_contact_mask(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).all()
 
 
-def test_views_of_a_camera_frame() -> None:
-    frames, light, black = scene((6, 90, 200), torch.uint8)
-    views = frames[::2, :, 11:80, 33:170]
-    part = (light[..., 11:80, 33:170], black[..., 11:80, 33:170])
-    limit = torch.full((3,), 0.6)
-    alone = real_contact_mask(views.contiguous(), *(image.contiguous() for image in part), limit, 5)
-    assert torch.equal(real_contact_mask(views, *part, limit, 5), alone)
-
-
 @pytest.mark.parametrize("size", [3, 15, 21])
 def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
     holds = torch.rand(2, 1, 53, 31, generator=torch.Generator().manual_seed(size)) < 0.5
@@ -115,15 +106,3 @@ def test_the_light_of_the_empty_glass() -> None:
     assert torch.equal(black, dark)
     assert torch.equal(glass_light(empty.to(torch.uint8))[1], 0 * dark)
     assert (glass_light(0 * dark)[0] == 0).all()
-
-
-def test_refuses_what_does_not_fit() -> None:
-    frames, image = torch.zeros(2, 1, 8, 8), torch.ones(1, 1, 8, 8)
-    with pytest.raises(ValueError, match="frames have shape"):
-        real_contact_mask(frames[0], image, image, torch.zeros(2))
-    with pytest.raises(ValueError, match="black has shape"):
-        real_contact_mask(frames, image, image[..., 1:], torch.zeros(2))
-    with pytest.raises(ValueError, match="4 x 4"):
-        real_contact_mask(frames, image, image, torch.zeros(2), 4)
-    with pytest.raises(ValueError, match="one number a frame"):
-        real_contact_mask(frames, image, image, torch.zeros(3))

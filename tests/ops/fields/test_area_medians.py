@@ -203,31 +203,3 @@ def test_double_precision() -> None:
     found = medians(cloud(), 0.03 * cloud(), kind=torch.float64)
     assert found.median.dtype == torch.float64
     assert found.median[0, 0].item() == pytest.approx(0.06, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "kind", "message"),
-    [
-        ({"displacement": torch.zeros(1, 5, 2, dtype=torch.int32)}, TypeError, "values must be floating"),
-        ({"displacement": torch.zeros(1, 5, 3)}, ValueError, "displacement"),
-        ({"displacement": torch.zeros(1, 4, 2)}, ValueError, "points"),
-        ({"reference": torch.zeros(2, 5, 2)}, ValueError, "reference has 2 frames"),
-        ({"center": torch.zeros(2, 2)}, ValueError, "center must be"),
-        ({"angle": torch.zeros(1, 1)}, ValueError, "angle must be"),
-        ({"gauge_length": 0.0}, ValueError, "gauge_length must be"),
-        ({"gauge_length": math.nan}, ValueError, "gauge_length must be"),
-        ({"covariance": torch.zeros(1, 5)}, ValueError, "covariance must be"),
-        ({"measure": "hencky"}, ValueError, "'hencky'.*green_lagrange"),
-    ],
-)
-def test_wrong_input(change: dict[str, Any], kind: type[Exception], message: str) -> None:
-    given: dict[str, Any] = {
-        "reference": torch.zeros(1, 5, 2),
-        "displacement": torch.zeros(1, 5, 2),
-        "center": torch.zeros(1, 2),
-        "semi_axes": torch.ones(1, 2),
-        "angle": torch.zeros(1),
-        "gauge_length": 1.0,
-    }
-    with pytest.raises(kind, match=message):
-        area_medians(**(given | change))

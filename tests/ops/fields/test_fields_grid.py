@@ -90,28 +90,9 @@ def test_too_few_points_give_nan(count: int) -> None:
     assert scattered_to_grid(points, points, grid, grid, GAUGE).isnan().all()
 
 
-@pytest.mark.parametrize("batch", [0, 1, 1000])
-def test_batches(batch: int) -> None:
-    points = disc_cloud(40, 1.0)
-    values = points.expand(batch, -1, -1)
-    grid = torch.tensor([-0.2, 0.3], dtype=torch.float64)
-    assert scattered_to_grid(points, values, grid, grid, GAUGE).shape == (batch, 2, 2, 2)
-
-
 def test_whole_numbers_and_other_dtypes_may_be_grid_coordinates() -> None:
     points = disc_cloud().float()
     grid = torch.arange(-2, 3)
     field = scattered_to_grid(points, points, grid, grid, GAUGE)
     assert field.dtype == torch.float32
     torch.testing.assert_close(field[0, 0], grid.float().expand(5, 5), atol=1e-5, rtol=0)
-
-
-def test_refusals_name_what_was_found() -> None:
-    points = disc_cloud()
-    grid = torch.linspace(-1, 1, 3)
-    with pytest.raises(ValueError, match=r"grid_y .*\(1, 3\)"):
-        scattered_to_grid(points, points, grid, grid[None], GAUGE)
-    with pytest.raises(ValueError, match=r"torch.float32 \(1, 1, 3, 3\)"):
-        scattered_to_grid(points, points, grid, grid, GAUGE, torch.ones(1, 1, 3, 3))
-    with pytest.raises(ValueError, match=r"\(B, 1, 3, 2\), found torch.bool \(1, 1, 2, 3\)"):
-        scattered_to_grid(points, points, grid[:2], grid, GAUGE, torch.ones(1, 1, 2, 3, dtype=torch.bool))

@@ -102,24 +102,8 @@ def test_float32_far_from_the_origin() -> None:
     torch.testing.assert_close(residual, truth, atol=3e-9, rtol=0)
 
 
-@pytest.mark.parametrize("batch", [0, 1, 1000])
-def test_batches(batch: int) -> None:
-    points = cloud(count=4)
-    displacement = rigid_displacement(points, 0.1).expand(batch, -1, -1)
-    residual = rigid_residual(points, displacement)
-    torch.testing.assert_close(residual, torch.zeros(batch, 4, 2, dtype=torch.float64), atol=1e-14, rtol=0)
-
-
 def test_autograd() -> None:
     points = cloud(2, 5).requires_grad_()
     displacement = wobble(points, 0.5).requires_grad_()
     weights = torch.rand(2, 5, generator=torch.Generator().manual_seed(18), dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(rigid_residual, (points, displacement, weights))
-
-
-def test_refusals_name_what_was_found() -> None:
-    points = cloud()
-    with pytest.raises(ValueError, match=r"\(1, 30, 3\)"):
-        rigid_residual(points, torch.zeros(1, 30, 3))
-    with pytest.raises(ValueError, match=r"\(1, 29\)"):
-        rigid_residual(points, points, torch.ones(1, 29))

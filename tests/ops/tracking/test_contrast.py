@@ -12,9 +12,9 @@ from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_backgrou
 def test_stretch_maps_quantiles_to_zero_and_one(dtype: torch.dtype) -> None:
     values = torch.randint(20, 200, (2, 1, 60, 70), generator=torch.Generator().manual_seed(0))
     flat = values.flatten(1).numpy()
-    low, high = (np.quantile(flat, q, axis=1, method="inverted_cdf")[:, None, None, None] for q in (0.02, 0.9))
+    low, high = (np.quantile(flat, q, axis=1, method="inverted_cdf")[:, None, None, None] for q in (0.01, 0.99))
     expected = np.clip((values.numpy() - low) / (high - low), 0, 1)
-    stretched = stretch_contrast(values.to(dtype), 0.02, 0.9)
+    stretched = stretch_contrast(values.to(dtype))
     assert stretched.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
     assert np.allclose(stretched.numpy(), expected, atol=1e-6)
 
@@ -42,8 +42,8 @@ def test_stretch_of_hard_frames() -> None:
 def test_unsharp_mask_equals_scipy(sigma: float) -> None:
     values = torch.rand(2, 1, 40, 31, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     blurred = np.stack([scipy.ndimage.gaussian_filter(v[0], sigma, mode="nearest", truncate=4) for v in values.numpy()])
-    expected = values.numpy() + 1.5 * (values.numpy() - blurred[:, None])
-    assert np.allclose(unsharp_mask(values, sigma, 1.5).numpy(), expected, atol=1e-12)
+    expected = 2 * values.numpy() - blurred[:, None]
+    assert np.allclose(unsharp_mask(values, sigma).numpy(), expected, atol=1e-12)
 
 
 def test_unsharp_mask_of_hard_frames() -> None:
@@ -61,15 +61,3 @@ def test_background_is_subtracted_with_sign() -> None:
     assert difference.dtype == torch.float32
     assert difference[:, 0, 0, 0].tolist() == [-40, 150]
     assert subtract_background(frames.to(torch.uint16), background.to(torch.uint16))[0, 0, 0, 0] == -40
-
-
-def test_refusals() -> None:
-    frame = torch.zeros(2, 1, 3, 3)
-    with pytest.raises(ValueError, match=r"0\.9 and 0\.1"):
-        stretch_contrast(frame, 0.9, 0.1)
-    with pytest.raises(ValueError, match="sigma is 0"):
-        unsharp_mask(frame, 0)
-    with pytest.raises(ValueError, match=r"background has shape \(3, 1, 3, 3\)"):
-        subtract_background(frame, torch.zeros(3, 1, 3, 3))
-    with pytest.raises(ValueError, match=r"\(3, 3\)"):
-        stretch_contrast(frame[0, 0])

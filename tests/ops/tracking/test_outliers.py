@@ -219,16 +219,3 @@ def test_too_few_points_and_no_frames() -> None:
     two = torch.zeros(1, 2, 2)
     assert not torch.cat(find(two, torch.ones(1, 2), two)).any()
     assert find(torch.zeros(0, 700, 2), torch.zeros(0, 700)).off_neighbours.shape == (0, 700)
-
-
-def test_exported() -> None:
-    """Whole, at a fixed cost: the same operations whatever the numbers are."""
-
-    class Step(torch.nn.Module):
-        def forward(self, points: Tensor, moved: Tensor, position_std: Tensor) -> Outliers:
-            return find_outliers(find_neighbours(points, GAUGE), moved, position_std)
-
-    given, position_std = planted(measured(press)[0], 2.0)[0], measured(press)[1]
-    program = torch.export.export(Step(), (POINTS, given, position_std)).module()
-    for found, expected in zip(program(POINTS, given, position_std), find(given, position_std), strict=True):
-        assert torch.equal(found, expected)

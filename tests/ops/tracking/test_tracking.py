@@ -240,26 +240,3 @@ def test_noise_that_is_known(points: Tensor) -> None:
         assert torch.equal(given, by_default)
     loud = track_points(*images, points, noise=torch.tensor([500.0]))
     assert (loud.status == TrackStatus.NO_TEXTURE).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"window": 20}, "odd"),
-        ({"passes": 3}, "passes"),
-        ({"points": torch.zeros(1, 3)}, "points"),
-        ({"points": torch.zeros(1, 3, 2, dtype=torch.int64)}, "floating"),
-        ({"current": torch.zeros(1, 1, 40, 41)}, "same shape"),
-        ({"initial": torch.zeros(1, 2, 2)}, "initial"),
-        ({"warp": torch.zeros(1, 3, 2)}, "warp"),
-        ({"noise": torch.zeros(2)}, "noise"),
-    ],
-)
-def test_wrong_arguments_are_named(change: dict[str, object], said: str) -> None:
-    arguments: dict[str, object] = {
-        "previous": torch.zeros(1, 1, 40, 40),
-        "current": torch.zeros(1, 1, 40, 40),
-        "points": torch.zeros(1, 3, 2),
-    }
-    with pytest.raises(ValueError, match=said):
-        track_points(**{**arguments, **change})  # type: ignore[arg-type]

@@ -1,0 +1,24 @@
+"""Input checks shared by ops on images."""
+
+import torch
+from torch import Tensor
+
+
+def check_frames(frames: Tensor) -> None:
+    """Raise ValueError unless frames are (B, 1, H, W)."""
+    if frames.ndim != 4 or frames.shape[1] != 1:
+        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+
+
+def check_mask(mask: Tensor) -> None:
+    """Raise TypeError unless a mask is bool, ValueError unless it is (B, 1, H, W)."""
+    if mask.dtype != torch.bool:
+        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
+    if mask.ndim != 4 or mask.shape[1] != 1:
+        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
+
+
+def check_window(size: int) -> None:
+    """Raise ValueError unless the side of a median window is odd and positive."""
+    if size < 1 or size % 2 == 0:
+        raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size")

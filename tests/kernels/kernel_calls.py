@@ -1,0 +1,151 @@
+"""One call of every function of kernels, with work for several threads: what faults, refusals of memory, arrays in
+place of tensors and the compiler are tried on.
+
+A new function gets a row in `kernel_calls`; tests/kernels/short_of_memory.py names a kernel that nothing here reaches.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import NUMBERS
+from fingerflow.models.skin_chain import press
+from tests.embedded import scene
+
+
+class Call(NamedTuple):
+    """A function and its arguments; called, it returns its result with tensors in place of arrays."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    settings: dict[str, Any]
+
+    def __call__(self) -> Any:
+        return in_tensors(self.function(*self.arguments, **self.settings))
+
+
+def call(function: Callable[..., Any], *arguments: Any, **settings: Any) -> Call:
+    return Call(function, arguments, settings)
+
+
+def in_tensors(result: Any) -> Any:
+    """The result with a tensor for every array."""
+    if isinstance(result, np.ndarray):
+        return torch.from_numpy(result)
+    return tuple(map(in_tensors, result)) if isinstance(result, tuple) else result
+
+
+def kernel_calls() -> dict[str, Call]:
+    """By the name of the kernel, or of the op that reaches it."""
+    first, second, points, moved = scene()
+    tall = first.repeat(1, 1, 4, 1)
+    covered = tall > 110
+    light, one = torch.full((1, 1, *tall.shape[2:]), 200.0), torch.ones(2)
+    covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
+    triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
+    rows = points.shape[1]
+    templates = list(kernels.prepare_templates(first, points, None, one, 11, True, 0.0))
+    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
+    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
+    ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
+    wide = first.repeat(1, 1, 8, 8).float()  # of flow, whose cells are a fourth
+    cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
+
+    return {
+        "median": call(kernels.median, tall, 5),
+        "normalize": call(kernels.normalize, tall, light, 0 * light, one[:1]),
+        "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
+        "light_gain": call(kernels.light_gain, (0.9 * light).byte().repeat(2, 1, 1, 1), light, 0 * light, 8),
+        "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
+        "mean_response": call(kernels.mean_response, tall),
+        "halve": call(kernels.halve, tall),
+        "spline_coefficients": call(kernels.spline_coefficients, tall),
+        "corners": call(kernels.corners, tall, None, one, **corners),
+        "prepare_templates": call(kernels.prepare_templates, first, points, None, one, 11, True, 0.0),
+        "find_templates": call(kernels.find_templates, templates, second, points, None, None, 8, 0.0, 1.0, 0.5),
+        "find_pairs": call(kernels.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5),
+        "search_windows": call(
+            kernels.search_windows, light, light, torch.zeros(rows).long(), points[0], points[0], 31, 3
+        ),
+        "sample_windows": call(
+            kernels.sample_windows, tall, torch.zeros(rows).long(), points[0], torch.eye(2).repeat(rows, 1, 1), 9, 1
+        ),
+        "local_gradients": call(kernels.local_gradients, points, moved, points, covariance.flatten(2), **fits),
+        "local_gradients without noise": call(kernels.local_gradients, points, moved, points, None, **fits),
+        "medians_over_area": call(
+            kernels.area_medians, points[:1], moved, ellipses, covariance, None, None, None, measure=0, radius=30.0
+        ),
+        "strain_of_triangles": call(
+            *(kernels.triangle_strain, triangles, torch.ones(3, 3, 2), torch.ones(3, 3, 3), area, area, moved),
+            *(covariance, torch.ones(2, 3, dtype=torch.bool)),
+            measure=0,
+            stiffness=(1.0, 1.0, 1.0),
+        ),
+        "skin_chain": call(lambda: press(torch.tensor([0.2, 0.6]), elements=9).position),
+        # By themselves: where dense flow reaches them, its threads are there already.
+        "flow_covariance": call(kernels.flow_covariance, cells.repeat(1, 3, 1, 1), one, one, one, 9.0),
+        "flow_levels": call(kernels.flow_levels, cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3),
+        "flow_to_pixels": call(kernels.flow_to_pixels, cells.repeat(1, 2, 1, 1), cells, *wide.shape[2:]),
+        **calls_on_arrays(tall, light),
+    }
+
+
+def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
+    """Functions that take NumPy arrays alone."""
+    random = np.random.default_rng(0)
+    points = random.uniform(10, 190, (60, 2)).astype(np.float32)
+    moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
+    covariance = np.broadcast_to(np.eye(2, dtype=np.float32), (2, 60, 2, 2))
+    numbers, deviation = np.ones((60, NUMBERS), np.float32), np.ones((2, 60), np.float32)
+    lit = [image.numpy() for image in (tall, light, 0 * light)]
+    frame, everywhere = lit[0][:1], np.ones(lit[0].shape[2:], np.bool_)
+    sizes = {"median_px": 3, "radius": 8}
+    search = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    return {
+        "contact_of_frames": call(contact_frames.contact_of_frames, *lit, np.full(2, 0.5, np.float32), cell=4, **sizes),
+        "contact_threshold": call(contact_frames.contact_threshold, *lit, stride_px=1, **sizes),
+        "covered": call(contact_frames.covered, lit[1], points[None], np.ones((2, 3), np.float32), 4),
+        "block_means": call(block_means.block_means, lit[0], (2, 2), (4, 4)),
+        "correct_points": call(
+            deformation.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
+        ),
+        "find_outliers": call(
+            tracked_points.find_outliers, tracked_points.find_neighbours(points, 120.0), moved - points, deviation
+        ),
+        "search_and_return": call(tracked_points.search_and_return, frame, frame, points, points, **search),
+        "detect_points": call(tracked_points.detect_points, frame, everywhere, 20, min_distance_px=6.0, window=9),
+    }
+
+
+@contextmanager
+def entered(seen: Callable[[str, Callable[[], None]], None]) -> Iterator[None]:
+    """Within it `seen` gets the name of every kernel that is entered, and what enters it."""
+    plain = library.Entry.__call__
+
+    def called(self: library.Entry, **given: Any) -> None:
+        seen(self._name, lambda: plain(self, **given))
+
+    library.Entry.__call__ = called  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        library.Entry.__call__ = plain  # type: ignore[method-assign]
+
+
+def reached(call: Callable[[], Any]) -> set[str]:
+    """The names of the kernels that a call enters."""
+    names: set[str] = set()
+
+    def noted(name: str, enter: Callable[[], None]) -> None:
+        names.add(name)
+        enter()
+
+    with entered(noted):
+        call()
+    return names
