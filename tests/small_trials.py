@@ -150,7 +150,8 @@ def scene_beside(
         np.save(folder / f"{name}.npy", values)
         text = text.replace(f'"{(recording / name).as_posix()}.npy"', f'"{name}.npy"')
     if not forces:
-        text = text[: text.index("[forces]")] + text[text.index("[calibration]") :]
+        first = text.index("[forces]")
+        text = text[:first] + text[text.index("\n[", first) + 1 :]
     (folder / "scene.toml").write_text(text, encoding="utf-8")
     return load_scene(edit_scene(folder, replaced or {}, stream=stream))
 

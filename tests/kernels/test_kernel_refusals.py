@@ -43,11 +43,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     *[("median", {"size": size}, f"{size} was asked for") for size in (-1, 1, 4, 33)],
     ("normalize", {"least": longer}, "least"),
     ("normalize", {"light": narrower}, "light of"),
-    ("dilate", {"mask": as_bytes}, "uint8"),
-    *[
-        ("dilate", {"half_widths": rows}, "grow towards the middle")
-        for rows in ([1, 0, 1], [0, 2, 0], [0, 0], [0, 1, 1])
-    ],
     ("sample_windows", {"images": double}, "float64"),
     ("sample_windows", {"image_index": lambda one: one + 2}, "image_index"),
     ("sample_windows", {"places": double}, "places"),
@@ -70,8 +65,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("otsu_threshold", {"counts": narrower}, "counts is"),
     ("apparent_contact", {"side": 3}, "cells of 3 px"),
     ("apparent_contact", {"mask": as_bytes}, "uint8"),
-    ("fill_holes", {"mask": as_bytes}, "uint8"),
-    ("mask_moments", {"mask": torch.zeros(1, 1, 1, 65536).bool()}, "65536 px wide"),
     ("corners", {"frames": torch.Tensor.float}, "float32"),
     ("corners", {"window": 17}, "17"),
     ("corners", {"floors": longer}, "floors"),

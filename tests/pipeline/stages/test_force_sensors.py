@@ -17,10 +17,12 @@ from fingerflow.schema.scene_template import scene_text
 
 Change = Callable[..., Scene]
 OUTPUTS = ["normal_force", "tangential_force", "load_ratio", "force_angle", "tangential_direction"]
-_BLOCK = (
-    'normal = "normal_force"       # names of the channels in the file, or their numbers, from 1\n'
-    'tangential = "tangential_force"'
-)
+
+
+def channels_in(scene: Path) -> str:
+    """The lines that name both forces, with the comments between."""
+    text, last = scene.read_text(encoding="utf-8"), 'tangential = "tangential_force"'
+    return text[text.index("normal = ") : text.index(last)] + last
 
 
 def sampled(press: Path) -> np.ndarray[Any, Any]:
@@ -34,7 +36,9 @@ def written(folder: Path, columns: np.ndarray[Any, Any], heading: str) -> str:
 
 
 def processed(changed: Change, press: Path, file: str, settings: str) -> xr.Dataset:
-    return process(changed({(press / "forces.csv").as_posix(): file, _BLOCK: settings}), OUTPUTS)
+    return process(
+        changed({(press / "forces.csv").as_posix(): file, channels_in(press / "scene.toml"): settings}), OUTPUTS
+    )
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +140,7 @@ def test_a_file_without_a_heading_by_numbers(
     scene = changed(
         {
             (press / "forces.csv").as_posix(): "sensor.csv",
-            _BLOCK: 'normal = 2\ntangential = 3\ntime = 1\nunits = "N"',
+            channels_in(press / "scene.toml"): 'normal = 2\ntangential = 3\ntime = 1\nunits = "N"',
             'trigger = "trigger"': "trigger = 4",
         }
     )
