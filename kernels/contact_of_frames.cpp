@@ -1,5 +1,5 @@
 // Contact of frames in one call: illumination gain, real-contact mask and apparent-contact region, one after the other
-// (fingerflow/graphs/contact.py). The mask's limit is limits[frame] * gain, clamped to [0, 1], with gain 1 where
+// (fingerflow/graphs/contact_graph.py). The mask's limit is limits[frame] * gain, clamped to [0, 1], with gain 1 where
 // unknown.
 // Layout: gains (batch), masks and density margins contiguous, as the three functions called here write them.
 #include <cmath>

@@ -17,7 +17,7 @@ import fingerflow.graphs
 from fingerflow import ops
 from fingerflow.graphs import ContactGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.search import SearchGraph
+from fingerflow.graphs.search_graph import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.ops.tracking.outliers import find_neighbours
 

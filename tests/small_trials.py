@@ -169,7 +169,7 @@ def beside(bundle: Path) -> tuple[Path, Path]:
 def export_unverified(recipe: Path, folder: Path) -> None:
     """Exports a bundle without the verification, which takes longest and which tests/export has."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])
+        patch.setattr("fingerflow.export.write_bundle.verify", lambda *_: [])
         export_bundle(recipe, folder)
 
 

@@ -182,7 +182,7 @@ def test_the_package_itself_loads_nothing() -> None:
         ("ops", "from fingerflow.graphs import ContactGraph"),
         ("ops", "import numpy as np"),
         ("ops", "def f():\n    from fingerflow import scene"),
-        ("graphs", "import fingerflow.pipeline.stages.contact.contact"),
+        ("graphs", "import fingerflow.pipeline.stages.contact.contact_stage"),
         ("kernels", "import torch"),
         ("kernels", "from fingerflow.kernels import tensors"),
         ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),

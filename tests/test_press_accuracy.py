@@ -12,7 +12,7 @@ import xarray as xr
 
 from bench.contact_grid import energy_since_onset
 from fingerflow import load_scene, process
-from fingerflow.cli.synthetic import simulate
+from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.graphs import FieldsGraph
 from fingerflow.ops import green_lagrange, triangle_gradients
 from fingerflow.synthetic import Press, Truth

@@ -35,9 +35,9 @@ from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build
-from fingerflow.export.bundle import write_graph
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Press
 

@@ -29,7 +29,7 @@ from fingerflow import load_scene, process
 from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import FingerprintTexture, Press, Slide, SyntheticScene
-from fingerflow.tracker.verification import Verification
+from fingerflow.tracker.subset_verification import Verification
 
 SMALL: dict[str, Any] = {"frame_shape": (320, 800), "finger": (5.0, 4.2), "semi_axes": (3.6, 3.1)}
 QUICK: dict[str, Any] = {"frame_shape": (160, 400), "finger": (2.7, 2.3), "semi_axes": (2.0, 1.7)}

@@ -38,7 +38,7 @@ from bench.suites.pipeline import PIPELINES
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
-from fingerflow.study.run import plan_run, run_study
+from fingerflow.study.run_study import plan_run, run_study
 from fingerflow.study.table import write_tables
 from fingerflow.synthetic import Press
 

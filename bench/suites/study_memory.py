@@ -19,7 +19,7 @@ import psutil
 from bench.rows import Cell, Row, Skipped, number
 from bench.suites.study import write_study
 from fingerflow.study.manifest import load_manifest
-from fingerflow.study.run import run_study
+from fingerflow.study.run_study import run_study
 from fingerflow.synthetic import Press
 
 RECORDINGS, QUICK_RECORDINGS = 1000, 40

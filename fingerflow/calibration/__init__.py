@@ -5,7 +5,7 @@ from fingerflow.calibration.discs import find_discs, find_hole
 from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.from_files import FILE, calibrate_files
 from fingerflow.calibration.from_frames import calibrate
-from fingerflow.calibration.overlay import draw_overlay
+from fingerflow.calibration.overlay_image import draw_overlay
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
 
 __all__ = [

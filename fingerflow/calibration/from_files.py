@@ -6,7 +6,7 @@ from pathlib import Path
 from fingerflow.calibration.calibration import Calibration, is_calibration
 from fingerflow.calibration.edge import Array
 from fingerflow.calibration.from_frames import calibrate
-from fingerflow.calibration.overlay import draw_overlay
+from fingerflow.calibration.overlay_image import draw_overlay
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.results.atomic_write import keep_others, spare, write_atomically

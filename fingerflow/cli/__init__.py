@@ -7,7 +7,9 @@ import threading
 
 import typer
 
-from fingerflow.cli import live, preparation, processing, reporting, study, synthetic, tables, viewing  # noqa: F401  commands add themselves
+from fingerflow.cli import bundles as live  # noqa: F401  commands add themselves
+from fingerflow.cli import preparation, processing, reporting, study, tables, viewing  # noqa: F401  commands add themselves
+from fingerflow.cli import synthetic_recordings as synthetic  # noqa: F401  commands add themselves
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError
 

@@ -64,7 +64,7 @@ def run(
 ) -> None:
     """Process what has no result yet, or another one than it should, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
-    from fingerflow.study.run import plan_run, run_study
+    from fingerflow.study.run_study import plan_run, run_study
     from fingerflow.study.table import write_tables
 
     loaded = load_manifest(manifest)

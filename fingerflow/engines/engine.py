@@ -171,7 +171,7 @@ class Fit(NamedTuple):
 
 
 class FrameFields(NamedTuple):
-    """Fields at N points of K frames and medians over the apparent contact, defined as in `graphs.fields.Fields`."""
+    """Fields at N points of K frames and medians over the apparent contact, as in `graphs.fields_graph`."""
 
     divergence: Array
     curl: Array
@@ -258,7 +258,7 @@ class Engine(Protocol):
         """Track templates, or the rows (L,) of them, through consecutive frames.
 
         Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
-        `tracker.motion`. A point that one step does not reach is tracked on from where the step ended, in up to
+        `tracker.prediction`. A point that one step does not reach is tracked on from where the step ended, in up to
         `kernels.tracking_limits.ROUNDS` steps.
         """
         ...

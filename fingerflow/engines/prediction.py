@@ -1,4 +1,4 @@
-"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.motion`."""
+"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.prediction`."""
 
 from __future__ import annotations
 

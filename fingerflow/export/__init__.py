@@ -1,6 +1,6 @@
 """Export of recipes to bundles: graphs as ONNX files, verified against torch, with the player that runs them."""
 
-from fingerflow.export.bundle import export_bundle
-from fingerflow.export.verification import Difference, as_text, verify
+from fingerflow.export.graph_verification import Difference, as_text, verify
+from fingerflow.export.write_bundle import export_bundle
 
 __all__ = ["Difference", "as_text", "export_bundle", "verify"]

@@ -20,7 +20,7 @@ from fingerflow.graphs import (
     TrackGraph,
 )
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.search import SearchGraph
+from fingerflow.graphs.search_graph import SearchGraph
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support, about_their_mean, support_of
 from fingerflow.ops.fields.point_gradients import gradients_at
@@ -30,7 +30,7 @@ from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.outliers import Neighbours
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
-from fingerflow.tracker.verification import STEP
+from fingerflow.tracker.subset_verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 

@@ -1,7 +1,7 @@
 """Torch modules composed of ops: the computation on a batch of frames, for any device, without hidden state."""
 
-from fingerflow.graphs.contact import Contact, ContactGraph
-from fingerflow.graphs.fields import Entered, Fields, FieldsGraph, GrossEllipse
+from fingerflow.graphs.contact_graph import Contact, ContactGraph
+from fingerflow.graphs.fields_graph import Entered, Fields, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph

@@ -20,16 +20,16 @@ from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.handover import Slot
-from fingerflow.player.live import LiveForces
+from fingerflow.player.live_data import LiveForces
 from fingerflow.player.played import played_by
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.scene import contradictions, stream_settings
 from fingerflow.player.sources import kinds
-from fingerflow.player.stream import Player, Settings
+from fingerflow.player.stream_player import Player, Settings
+from fingerflow.player.stream_scene import contradictions, stream_settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.schema.unfinished import remove, unfinished
-from fingerflow.tracker.stream import StreamTracker
+from fingerflow.tracker.frame_tracker import StreamTracker
 
 _LEAST = 1e-6  # frames/s (as in scenes) or s; below it the interval to the next frame exceeds the range of the clock
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys that identify a summary

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from fingerflow.schema.variables import FRAME_STATUS
-from fingerflow.tracker.frame_quality import USABLE
+from fingerflow.tracker.stream_frame_quality import USABLE
 
 
 class Findings:

@@ -12,9 +12,9 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.scene import StreamScene
+from fingerflow.player.stream_scene import StreamScene
 from fingerflow.schema.views import View
-from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
+from fingerflow.tracker.frame_tracker import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
 

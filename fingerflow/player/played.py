@@ -11,12 +11,12 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.player.live import Expected
-from fingerflow.player.scene import StreamScene, check_scene, load_scene
+from fingerflow.player.live_data import Expected
 from fingerflow.player.sources import open_source
-from fingerflow.player.sources.camera import open_camera
+from fingerflow.player.sources.camera_source import open_camera
 from fingerflow.player.sources.source import OpenSource
-from fingerflow.player.sources.synthetic import Synthetic, side_by_side
+from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
+from fingerflow.player.stream_scene import StreamScene, check_scene, load_scene
 from fingerflow.schema.views import View
 
 _STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fingerflow.recordings.forces.forces import Forces as Forces
-    from fingerflow.recordings.forces.opening import force_columns as force_columns
-    from fingerflow.recordings.forces.opening import open_forces as open_forces
-    from fingerflow.recordings.frames.opening import open_recording as open_recording
+    from fingerflow.recordings.forces.open_forces import force_columns as force_columns
+    from fingerflow.recordings.forces.open_forces import open_forces as open_forces
+    from fingerflow.recordings.frames.open_recording import open_recording as open_recording
     from fingerflow.recordings.frames.recording import Recording as Recording
 
 _HOMES = {
     "Forces": "fingerflow.recordings.forces.forces",
-    "force_columns": "fingerflow.recordings.forces.opening",
-    "open_forces": "fingerflow.recordings.forces.opening",
-    "open_recording": "fingerflow.recordings.frames.opening",
+    "force_columns": "fingerflow.recordings.forces.open_forces",
+    "open_forces": "fingerflow.recordings.forces.open_forces",
+    "open_recording": "fingerflow.recordings.frames.open_recording",
     "Recording": "fingerflow.recordings.frames.recording",
 }
 __all__ = ["Forces", "Recording", "force_columns", "open_forces", "open_recording"]

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from fingerflow.plot.axes_style import GREY, INK, RED
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
-from fingerflow.report.video import encode_video
+from fingerflow.report.video_writer import encode_video
 from fingerflow.results.atomic_write import write_atomically
 
 _INCHES, _DPI = (10.0, 5.4), 96

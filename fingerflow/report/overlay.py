@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 
 from fingerflow.recordings import open_recording
-from fingerflow.report.video import encode_video
-from fingerflow.report.views import Picture, ViewPainter
+from fingerflow.report.video_writer import encode_video
+from fingerflow.report.view_painter import Picture, ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene import Scene
 

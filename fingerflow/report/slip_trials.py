@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.plot.outlines import contact_outline, stuck_outline
-from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
 from fingerflow.report.picture_files import save_figure
+from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
 from fingerflow.results.atomic_write import is_marked, keep_others
 
 

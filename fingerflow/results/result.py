@@ -10,9 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.recordings.guard.child_process import check_in_child_process
-from fingerflow.recordings.guard.files import check_file, reading
-from fingerflow.recordings.guard.hdf5 import open_hdf5
+from fingerflow.recordings.guard.file_checks import check_file, reading
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
 

@@ -18,8 +18,8 @@ from fingerflow.schema.variables import TIME
 _GROWING = ("point",)  # dimensions that may grow after a variable is created
 _CHUNK_BYTES = 1 << 20  # chunk cache of HDF5 for one variable
 # Factor by which a frame of a growing variable may grow: three times the points, in chunks that are not full
-# (`pipeline.stages.tracking.tracking`). A row of chunks larger than the cache would be written and read again with
-# every batch.
+# (`pipeline.stages.tracking.tracking_stage`). A row of chunks larger than the cache would be written and read again
+# with every batch.
 _MOST_GROWTH = 4
 _CHUNK_FRAMES = 64  # frames of a chunk: as many as stages read at a time; HDF5 caches smaller batches
 # Bytes of a frame below which chunks are not worth their overhead. Only integers are compressed: most bits of positions

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.opening import READER_OF
-from fingerflow.recordings.frames.opening import READERS
+from fingerflow.recordings.forces.open_forces import READER_OF
+from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
 from fingerflow.schema.scene_template import scene_text

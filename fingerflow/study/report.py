@@ -15,17 +15,17 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
-from fingerflow.report.views import ViewPainter
+from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.figures import write_figures
-from fingerflow.study.files import MEASURED, read_row
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.statistics import sample_of, statistics_of
 from fingerflow.study.table import write_tables
+from fingerflow.study.trial_files import MEASURED, read_row
 
 _THUMBNAIL_PX = 220  # wide
 _SHOWN = ("max_force", "divergence", "strain_energy", "gross_contact_area", "global_displacement")

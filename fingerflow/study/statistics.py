@@ -23,7 +23,7 @@ from fingerflow.models.observer import (
 )
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.schema.trial_columns import NUMBERS
-from fingerflow.study.files import MEASURED
+from fingerflow.study.trial_files import MEASURED
 
 _FIRST = "divergence"  # the metric that the others are compared with
 

@@ -12,9 +12,9 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
-from fingerflow.study.files import MEASURED, TrialRow, read_row
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.row import CURVES, FORCE_GRID
+from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
 NOT_RUN = "not run"
 _LEVEL = 0.95

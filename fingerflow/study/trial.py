@@ -23,11 +23,11 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
-from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
-from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
+from fingerflow.study.cache_keys import Keys, all_codes, code_of, keys_of, look_at
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.processor import Share
 from fingerflow.study.row import DESCRIBED, READ, measure
+from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
 _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")

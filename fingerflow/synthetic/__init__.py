@@ -5,9 +5,9 @@ from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.partial_slip import PartialSlip
-from fingerflow.synthetic.picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import SyntheticForces, SyntheticScene
+from fingerflow.synthetic.skin_picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture, texture_image
 from fingerflow.synthetic.truth import Medians, Truth

@@ -14,9 +14,9 @@ from fingerflow.models.skin_chain import PressedChain as Chain
 from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_onset import SinceOnset, since_onset
 from fingerflow.models.skin_parameters import named
+from fingerflow.synthetic.grid_spline import cubic_weights
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
-from fingerflow.synthetic.spline import cubic_weights
 
 _TIMES = 257  # times of the chain during the rise
 _KNOTS = 32  # intervals of the splines in time; they smooth the growth of contact by elements

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.synthetic.motion import Ellipse
-from fingerflow.synthetic.skin import Skin
+from fingerflow.synthetic.skin_interface import Skin
 
 #: Grey levels at full illumination: mean of the skin in the grazing light, amplitude of the ridges there, and the glass
 #: in the bright field.

@@ -14,7 +14,7 @@ from fingerflow.schema.views import View
 from fingerflow.synthetic import optics
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.motion import Ellipse, SkinMotion
-from fingerflow.synthetic.skin import Skin
+from fingerflow.synthetic.skin_interface import Skin
 from fingerflow.synthetic.texture import RidgeTexture
 from fingerflow.synthetic.truth import Truth
 

@@ -22,9 +22,9 @@ from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
-from fingerflow.synthetic.picture import PictureTexture
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import SyntheticScene
+from fingerflow.synthetic.skin_picture import PictureTexture
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
 

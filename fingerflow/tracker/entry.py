@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 
 Array = NDArray[Any]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.slip_flag import SlipFlag

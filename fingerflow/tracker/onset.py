@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[Any]
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from fingerflow.engines.together import run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, plan
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import MemoryStore
 from fingerflow.schema.scene import Scene
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.guard.hdf5 import open_hdf5
+from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.results.result import open_result
 from fingerflow.schema.variable_record import LABELS
 

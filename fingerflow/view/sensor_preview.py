@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX, MarkerContactStage
-from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage, Seen
+from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage, Seen
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
 from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of

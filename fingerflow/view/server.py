@@ -16,10 +16,10 @@ from starlette.staticfiles import StaticFiles
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.variables import VARIABLES
+from fingerflow.view.binary_answer import plain
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
-from fingerflow.view.opening import open_path
-from fingerflow.view.packing import plain
+from fingerflow.view.open_path import open_path
 from fingerflow.view.session import Session
 
 _HOST = "127.0.0.1"

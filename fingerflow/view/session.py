@@ -17,11 +17,11 @@ from fingerflow.recordings import Recording, force_columns, open_recording
 from fingerflow.results.result import is_result, open_result
 from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
 from fingerflow.schema.views import View
+from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside
-from fingerflow.view.keys import forms, kinds
-from fingerflow.view.opening import RESULT, Opened
-from fingerflow.view.packing import packed
+from fingerflow.view.key_forms import forms, kinds
+from fingerflow.view.open_path import RESULT, Opened
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.results import Results
 

@@ -202,9 +202,9 @@ def test_an_interrupt_in_a_callback_ends_the_command() -> None:
     ("arguments", "place", "calls"),
     [
         (PROCESS, "fingerflow.schema.scene.load_scene", 0),
-        (PROCESS, "fingerflow.pipeline.stages.contact.contact.ContactStage.step", 0),
-        (PROCESS, "fingerflow.pipeline.stages.tracking.tracking.TrackingStage.step", 0),
-        (PROCESS, "fingerflow.pipeline.stages.strain.strain.StrainStage.step", 0),
+        (PROCESS, "fingerflow.pipeline.stages.contact.contact_stage.ContactStage.step", 0),
+        (PROCESS, "fingerflow.pipeline.stages.tracking.tracking_stage.TrackingStage.step", 0),
+        (PROCESS, "fingerflow.pipeline.stages.strain.strain_stage.StrainStage.step", 0),
         (PROCESS, "h5py.File.close", 0),
         (PROCESS, "pathlib.Path.replace", 0),
         ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),
@@ -329,7 +329,7 @@ def test_a_file_of_somebody_else_is_refused(
 
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
-    from fingerflow.cli.synthetic import _remove_demo
+    from fingerflow.cli.synthetic_recordings import _remove_demo
     from fingerflow.results.atomic_write import spare
 
     frame = tmp_path / "calibration.png"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fingerflow.export import carried_modules
-from fingerflow.export.bundle import scene_for
+from fingerflow.export.write_bundle import scene_for
 from fingerflow.recordings import open_recording
 from tests.fuzz.samples import samples
 

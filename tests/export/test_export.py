@@ -141,7 +141,7 @@ def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
     def fail(*_: object) -> None:
         raise FingerflowError("no")
 
-    monkeypatch.setattr("fingerflow.export.bundle.verify", fail)
+    monkeypatch.setattr("fingerflow.export.write_bundle.verify", fail)
     with pytest.raises(FingerflowError, match="no"):
         export_bundle(_recipe(tmp_path, graphs='"light"'), tmp_path / "bundle")
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.graphs.contact import ContactGraph
+from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.kernels import contact_frames as native
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_frames import ContactOfFrames, contact_of_frames

@@ -9,7 +9,7 @@ import torch
 
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.engines.native_fields import fields_of_frames
-from fingerflow.graphs import fields as graphs
+from fingerflow.graphs import fields_graph as graphs
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import STRAIN_MEASURES
 

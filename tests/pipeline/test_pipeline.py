@@ -19,7 +19,7 @@ import xarray as xr
 from fingerflow import load_scene, open_stream, process
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.recordings import Recording
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.report import write_report
@@ -235,7 +235,7 @@ def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> N
     import av
 
     from fingerflow.report import write_report
-    from fingerflow.synthetic.comparison import compare
+    from fingerflow.synthetic.comparison_with_truth import compare
 
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs.contact import ContactGraph
+from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.graphs.track import TrackGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.run import process_together

@@ -14,7 +14,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS
-from fingerflow.tracker.frame_quality import USABLE
+from fingerflow.tracker.stream_frame_quality import USABLE
 from tests.small_trials import (
     FRAMES,
     HEIGHT,

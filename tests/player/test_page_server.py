@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from fingerflow.player import page as page_module
-from fingerflow.player.live import LiveData
+from fingerflow.player import page_server as page_module
+from fingerflow.player.live_data import LiveData
 
 pytestmark = pytest.mark.long
 

@@ -19,8 +19,8 @@ from conftest import Ended, Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_scene
 
 from fingerflow.cli import app
-from fingerflow.player.sources.synthetic import Synthetic
-from fingerflow.player.stream import Player
+from fingerflow.player.sources.synthetic_source import Synthetic
+from fingerflow.player.stream_player import Player
 
 pytestmark = pytest.mark.long
 

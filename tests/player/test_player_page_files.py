@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fingerflow.player import page
+from fingerflow.player import page_server as page
 
 FOLDER = Path(page.__file__).with_name("page")
 HTML, CSS, JS = ((FOLDER / name).read_text(encoding="utf-8") for name in ("index.html", "page.css", "page.js"))
@@ -63,8 +63,8 @@ def test_the_script_reads_what_the_stream_sends() -> None:
 
 
 def test_what_is_expected_has_a_name_on_the_page() -> None:
-    from fingerflow.player.live import _SHOWN
-    from fingerflow.player.sources.synthetic import Synthetic, side_by_side
+    from fingerflow.player.live_data import _SHOWN
+    from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
 
     expected = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4).expected_in(0, 1)
     axes = re.search(r"const AXES = \{(.*?)\}", JS)

@@ -16,9 +16,9 @@ from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_bundle
 from fingerflow import player
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player import stream as stream_module
+from fingerflow.player import stream_player as stream_module
 from fingerflow.player.latency import Latencies
-from fingerflow.tracker.stream import StreamTracker, Work
+from fingerflow.tracker.frame_tracker import StreamTracker, Work
 from fingerflow.tracker.upkeep import Upkeep
 
 

@@ -15,7 +15,7 @@ from tiny_bundle import HEIGHT, WIDTH, frame
 
 from fingerflow import player
 from fingerflow.player import cli
-from fingerflow.player import stream as stream_module
+from fingerflow.player import stream_player as stream_module
 
 START = ("--threads", "1")
 

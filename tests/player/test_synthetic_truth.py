@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fingerflow.player.sources import synthetic_truth
-from fingerflow.player.sources.synthetic import Synthetic, _draw_finger, side_by_side
+from fingerflow.player.sources.synthetic_source import Synthetic, _draw_finger, side_by_side
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 
 SHAPE = (192, 240)

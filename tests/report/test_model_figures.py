@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from fingerflow.models import observer as observing
 from fingerflow.models.partial_slip import fit_friction, judge_trial
-from fingerflow.report import observer, partial_slip
+from fingerflow.report import observer
+from fingerflow.report import slip_figures as partial_slip
 from tests.slip_trials import simulate_trial
 
 

@@ -13,7 +13,7 @@ from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
-from fingerflow.report.views import STUCK, ViewPainter
+from fingerflow.report.view_painter import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
 from tests.slip_trials import simulate_trial
 

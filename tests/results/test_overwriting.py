@@ -126,7 +126,8 @@ def test_a_calibration_replaces_calibrations_alone(
 def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
-    from fingerflow.report import video, write_report
+    from fingerflow.report import video_writer as video
+    from fingerflow.report import write_report
     from fingerflow.report.picture_files import save_figure
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.results.atomic_write import is_marked

@@ -18,7 +18,7 @@ from fingerflow.pipeline.dictionary import dictionary
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.results.result import save_result
 from fingerflow.results.tables import export_map, export_table
-from fingerflow.results.tables.maps import maps_of
+from fingerflow.results.tables.grid_maps import maps_of
 
 FRAMES, POINTS, FIRST = 3, 200, 10
 GRADIENT = np.array([[0.2, -0.1], [0.05, 0.3]])

@@ -9,7 +9,7 @@ from scene_cases import MATRIX, RIGHT, WRONG, WrongScene, write_folder
 
 from fingerflow.errors import FingerflowError
 from fingerflow.player import PlayerError
-from fingerflow.player import scene as player
+from fingerflow.player import stream_scene as player
 from fingerflow.schema import scene as package
 from fingerflow.schema.scene_keys import SCENE, SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS, Kind

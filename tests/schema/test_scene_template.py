@@ -13,7 +13,7 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.scene_template import gel_scene_text, scene_text
 from fingerflow.schema.scene_values import value_of
 from fingerflow.schema.views import View
-from fingerflow.view.keys import forms
+from fingerflow.view.key_forms import forms
 
 TABLES = {**SCENE, "views": views_of(KINDS["press"])}
 REGION = View((1, 20), (3, 40))

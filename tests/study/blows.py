@@ -28,10 +28,10 @@ from typing import Any
 import pandas as pd
 import psutil
 
-from fingerflow.study.files import FAILED
 from fingerflow.study.manifest import Manifest, load_manifest
-from fingerflow.study.run import run_study
+from fingerflow.study.run_study import run_study
 from fingerflow.study.table import write_tables
+from fingerflow.study.trial_files import FAILED
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
 from tests.study.lab import write_lab, write_one_press
 

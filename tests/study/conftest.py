@@ -9,7 +9,7 @@ from distributed import LocalCluster
 
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, load_manifest
-from fingerflow.study.run import run_study
+from fingerflow.study.run_study import run_study
 from tests.study.lab import write_files, write_lab, write_one_press
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene
-from fingerflow.study import keys as room
-from fingerflow.study.keys import keys_of, look_at, same_content
+from fingerflow.study import cache_keys as room
+from fingerflow.study.cache_keys import keys_of, look_at, same_content
 
 
 def _changed(folder: Path, old: str, new: str) -> room.Keys:

@@ -19,14 +19,14 @@ import xarray as xr
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, read_own
-from fingerflow.study import run
+from fingerflow.study import run_study as run
 from fingerflow.study import trial as worker
-from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.report import write_study_report
 from fingerflow.study.row import DESCRIBED, READ, measure
-from fingerflow.study.run import plan_run, run_study
+from fingerflow.study.run_study import plan_run, run_study
 from fingerflow.study.table import write_tables
+from fingerflow.study.trial_files import FAILED, MEASURED, read_row
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
 from tests.study.blows import (
     damage,
@@ -227,7 +227,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         write_atomically(path, fails)
 
     with monkeypatch.context() as patched:
-        patched.setattr("fingerflow.study.files.write_atomically", no_room)
+        patched.setattr("fingerflow.study.trial_files.write_atomically", no_room)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert _run(study, scheduler, only="01_0_*") == {"01_0_1": MEASURED, "01_0_2": MEASURED}
 

@@ -10,13 +10,13 @@ import pytest
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import leave_out_moved, observe, participant_groups
 from fingerflow.study.figures import write_figures
-from fingerflow.study.files import MEASURED, TrialRow
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
 from fingerflow.study.simulated import Design, simulate_table, truth_of
 from fingerflow.study.statistics import sample_of, statistics_of
 from fingerflow.study.table import averaged
+from fingerflow.study.trial_files import MEASURED, TrialRow
 
 _STUDIES = 20
 

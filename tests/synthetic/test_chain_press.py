@@ -9,7 +9,7 @@ import xarray as xr
 
 from bench.suites.friction_loop import QUICK_PRESS, inner_divergence, median_divergence
 from fingerflow import load_scene, process
-from fingerflow.cli.synthetic import simulate
+from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
 from fingerflow.report.beside_chain import compare_with_chain

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import advected, with_neighbours
 
 Row = tuple[float, ...]

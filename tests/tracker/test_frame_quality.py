@@ -8,7 +8,7 @@ import pytest
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import evened
-from fingerflow.tracker.frame_quality import USABLE, Blocks, FrameCheck
+from fingerflow.tracker.stream_frame_quality import USABLE, Blocks, FrameCheck
 
 Array = np.ndarray[Any, Any]
 GLASS = np.full((192, 240), 200.0)

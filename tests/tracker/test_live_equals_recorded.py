@@ -13,7 +13,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from tests.small_trials import SPOILED, recipe_of_trials, write_library_bundle, write_trial

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.schema.variables import FRAME_STATUS
-from fingerflow.tracker.stream import (
+from fingerflow.tracker.frame_tracker import (
     CONTACT_VIEW,
     TOPOGRAPHY_VIEW,
     Event,

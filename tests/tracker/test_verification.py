@@ -18,8 +18,8 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.variables import TRACK_STATUS
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from fingerflow.tracker.points import Points
-from fingerflow.tracker.verification import STEP, Verification
-from fingerflow.tracker.windows import Centred, correlation_of, deformed_alike
+from fingerflow.tracker.subset_verification import STEP, Verification
+from fingerflow.tracker.window_match import Centred, correlation_of, deformed_alike
 
 Array = NDArray[Any]
 Make = Callable[[EngineSettings], Engine]

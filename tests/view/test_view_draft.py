@@ -9,7 +9,7 @@ from fingerflow import load_scene, open_recording
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene import scene_of_settings
 from fingerflow.view.draft import Draft, NeedsLeaveError
-from fingerflow.view.opening import open_path
+from fingerflow.view.open_path import open_path
 
 
 def test_a_change_leaves_the_rest_of_the_file_as_it_was(press: Path) -> None:

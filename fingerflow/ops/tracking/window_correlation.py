@@ -1,7 +1,7 @@
 """Grey levels in the deformed windows around points, by which the windows of two images are compared.
 
-Samples are Keys' cubic convolution (1981) of the recorded pixels, not a spline. The comparison (`tracker.windows`) thus
-shares no arithmetic with the registration that found the points.
+Samples are Keys' cubic convolution (1981) of the recorded pixels, not a spline. The comparison (`tracker.window_match`)
+thus shares no arithmetic with the registration that found the points.
 """
 
 import math

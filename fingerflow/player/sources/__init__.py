@@ -9,7 +9,7 @@ from typing import Protocol, cast
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.sources.source import Asked, Source
-from fingerflow.player.sources.video import open_video
+from fingerflow.player.sources.video_source import open_video
 
 
 class Reader(Protocol):

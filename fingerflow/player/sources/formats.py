@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Asked, RecordedFrames, Source
-from fingerflow.recordings.frames.opening import open_recording
+from fingerflow.recordings.frames.open_recording import open_recording
 from fingerflow.recordings.frames.recording import Recording
 
 READS = "a recording (.cine, .mraw or .npy; .tif where tifffile is installed)"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.forces.force_table import ForceTable, split_unit
 from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read, separator_of, without_preamble
-from fingerflow.recordings.forces.table import ForceTable, split_unit
 
 
 def read_table(path: Path) -> ForceTable:

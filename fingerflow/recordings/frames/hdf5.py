@@ -11,8 +11,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
-from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
 NEVER_WRITTEN = "was never written"

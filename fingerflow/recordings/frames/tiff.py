@@ -16,7 +16,7 @@ import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.files import plausible_size, reading
+from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)

@@ -23,7 +23,7 @@ from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
-from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.schema.claimed_sizes import MOST_PIXELS
 
 CACHE_BYTES = 128 * 2**20

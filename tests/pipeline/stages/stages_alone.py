@@ -13,12 +13,12 @@ from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.pipeline.run import _pass, _Way
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.stage import RunContext, Stage
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import MemoryStore
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
-from fingerflow.pipeline.stages.fields.fields import FieldsStage
-from fingerflow.pipeline.stages.strain.strain import StrainStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
+from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
 FRAMES, SCALE = 4, 0.03

@@ -16,7 +16,7 @@ from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import Slide, write_recording
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches
 

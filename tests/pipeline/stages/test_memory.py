@@ -13,7 +13,7 @@ import torch
 import xarray as xr
 
 from fingerflow import process
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.recordings import Recording
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene

@@ -14,8 +14,8 @@ from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.regions import region_mask
-from fingerflow.player.scene import load_scene as load_stream
-from fingerflow.player.scene import stream_settings
+from fingerflow.player.stream_scene import load_scene as load_stream
+from fingerflow.player.stream_scene import stream_settings
 from fingerflow.schema.region import ellipse_runs, polygon_runs
 from fingerflow.schema.scene import Scene
 from tests.small_trials import warnings_of

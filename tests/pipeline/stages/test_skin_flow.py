@@ -5,7 +5,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.partial_slip.border import POWER, border_level, fit_border, seen_displacement
+from fingerflow.models.partial_slip.stick_border import POWER, border_level, fit_border, seen_displacement
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
 

@@ -21,8 +21,8 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
-from fingerflow.pipeline.stages.slip.slip import SlipStage, _incipient
 from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
+from fingerflow.pipeline.stages.slip.slip_stage import SlipStage, _incipient
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.views import View
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.onset import LASTING, Touches
 
 FRAMES, POINTS = 40, 200

@@ -14,16 +14,16 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.graphs.fields import Fields
-from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
-from fingerflow.pipeline.stages.fields.fields import FieldsStage
+from fingerflow.graphs.fields_graph import Fields
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
+from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
 from fingerflow.pipeline.stages.fields.median_bias import MedianBias, of_ranks
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
-from fingerflow.pipeline.stages.strain import strain
-from fingerflow.pipeline.stages.strain.strain import StrainStage
-from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.pipeline.stages.strain import strain_stage as strain
+from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # of the border, mm a frame
 WINDOW_PX, COPIES = 25, 40

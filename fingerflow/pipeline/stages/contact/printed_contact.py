@@ -13,7 +13,7 @@ from fingerflow.ops.filters.illumination import (
 )
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.filters.morphology import erode
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import PRINTED_CONTACT
 

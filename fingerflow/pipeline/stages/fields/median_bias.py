@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.graphs import GrossEllipse
-from fingerflow.graphs.fields import Fields
+from fingerflow.graphs.fields_graph import Fields
 from fingerflow.ops.fields.area_medians import Apart, area_medians
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
 from fingerflow.pipeline.stages.stage import Batch
-from fingerflow.tracker.border import BORDER_MM
+from fingerflow.tracker.contact_border import BORDER_MM
 
 EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact change slowly
 

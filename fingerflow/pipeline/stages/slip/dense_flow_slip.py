@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from fingerflow.models.partial_slip.border import Seen
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.models.partial_slip.stick_border import Seen
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
-from fingerflow.pipeline.stages.slip.slip import SlipStage
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
+from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
 
 _MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector whose two components have a standard deviation of 1

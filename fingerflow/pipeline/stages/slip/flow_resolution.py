@@ -6,7 +6,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.models.partial_slip.border import POWER
+from fingerflow.models.partial_slip.stick_border import POWER
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
 
 _INSIDE = 0.4  # share of the mask inside the simulated border
@@ -20,7 +20,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Flow measured for a displacement x^p beyond a border: a `models.partial_slip.border.Seen`.
+    """Flow measured for a displacement x^p beyond a border: a `models.partial_slip.stick_border.Seen`.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.partial_slip.border import BorderFit, Seen, border_level, fit_border
+from fingerflow.models.partial_slip.stick_border import BorderFit, Seen, border_level, fit_border
 from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
@@ -32,8 +32,8 @@ class StuckBorder:
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
     of slip is averaged over all frames by their distance from the contour, which leaves a noise of a tenth of a
-    micrometre. The fit finds where this displacement begins, as it is measured (`models.partial_slip.border`). It gives
-    the level measured at the border; the stick region of a frame is where displacement is below it.
+    micrometre. The fit finds where this displacement begins, as it is measured (`models.partial_slip.stick_border`). It
+    gives the level measured at the border; the stick region of a frame is where displacement is below it.
 
     Args:
         grid: of the contact.

@@ -12,9 +12,9 @@ from fingerflow.ops.contact.ellipse import fit_ellipse
 from fingerflow.ops.contact.light_change import light_change
 from fingerflow.ops.contact.otsu import otsu_threshold
 from fingerflow.ops.filters.morphology import dilate
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
+from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 
 CELL_PX = 4

@@ -3,12 +3,12 @@
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.preparation.reference import Reference
 from fingerflow.pipeline.stages.preparation.series import nanmedian
-from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
+from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage
 from fingerflow.pipeline.stages.stage import Batch
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 
 _REST = {"reference_position": "position at rest", "displacement": "displacement since rest"}
 

@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX
-from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
+from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import TRACKING
 
 

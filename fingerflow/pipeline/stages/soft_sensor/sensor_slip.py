@@ -5,11 +5,11 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
-from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage
 from fingerflow.pipeline.stages.stage import RunContext, Stage
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import SENSOR_SLIP
 
 _FEWEST = 3  # markers for the fit of a rigid motion

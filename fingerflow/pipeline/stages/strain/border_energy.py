@@ -8,7 +8,7 @@ of triangles that count.
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 
 Values = NDArray[np.floating]
 

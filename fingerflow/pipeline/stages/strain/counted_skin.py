@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved, at_frames
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, at_frames
 from fingerflow.results.store import Store
 from fingerflow.tracker.entry import LEAST_AREA
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import h5py
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.table import ForceTable
-from fingerflow.recordings.guard.files import reading
-from fingerflow.recordings.guard.hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.forces.force_table import ForceTable
+from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
+from fingerflow.study.cache_keys import all_codes, keys_of
 from fingerflow.study.cluster import Interrupted, over_workers, threads_each, workers_for
-from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
-from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
+from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
 _TOGETHER = 8  # trials batched on an accelerator
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.windows import Centred, correlation_of, deformed_alike
+from fingerflow.tracker.window_match import Centred, correlation_of, deformed_alike
 
 Array = NDArray[Any]
 

@@ -13,7 +13,7 @@ from fingerflow.engines.engine import FoundPoints, Images, nothing_found
 from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
@@ -22,8 +22,8 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
-from fingerflow.tracker.motion import PointMotion
 from fingerflow.tracker.points import Points, beside
+from fingerflow.tracker.prediction import PointMotion
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
 MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording

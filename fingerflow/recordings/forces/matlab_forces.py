@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.table import ForceTable
+from fingerflow.recordings.forces.force_table import ForceTable
 from fingerflow.recordings.guard.child_process import read_matlab_apart
-from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.file_checks import reading
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import FileRecording, Recording
-from fingerflow.recordings.guard.files import check_file, reading
+from fingerflow.recordings.guard.file_checks import check_file, reading
 
 # Readers are imported on first use: video and HDF5 libraries take a second to load.
 READERS = {

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.live import LiveData
+from fingerflow.player.live_data import LiveData
 
 log = logging.getLogger("fingerflow.player")
 

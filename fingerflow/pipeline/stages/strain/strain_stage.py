@@ -10,15 +10,15 @@ from scipy.spatial import cKDTree
 from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
-from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.border_energy import border_energy
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.schema.variables import STRAIN
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 
 # Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
 # one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.

@@ -19,9 +19,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.expected import expected_numbers
+from fingerflow.export.graph_verification import Difference, verify
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.export.verification import Difference, verify
 from fingerflow.export.verification_frames import cases, completed, feed
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.unfinished import unfinished

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import Array
-from fingerflow.player.scene import StreamScene
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
+from fingerflow.player.stream_scene import StreamScene
 from fingerflow.schema.views import View
 
 

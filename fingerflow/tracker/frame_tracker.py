@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.frame_quality import MEASURED, USABLE, Blocks, FrameCheck
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.motion import PointMotion, known_of
 from fingerflow.tracker.points import STREAM, Points, Resolved
+from fingerflow.tracker.prediction import PointMotion, known_of
+from fingerflow.tracker.stream_frame_quality import MEASURED, USABLE, Blocks, FrameCheck
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]

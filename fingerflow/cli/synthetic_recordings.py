@@ -25,7 +25,7 @@ def demo(
     from fingerflow.results.result import save_result
     from fingerflow.schema.scene import load_scene
     from fingerflow.synthetic import rebuild_scene
-    from fingerflow.synthetic.comparison import as_text, compare
+    from fingerflow.synthetic.comparison_with_truth import as_text, compare
 
     if folder.exists():
         _remove_demo(folder)

@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
+from fingerflow.synthetic.grid_spline import cubic_weights
 from fingerflow.synthetic.scenes import SyntheticScene
-from fingerflow.synthetic.spline import cubic_weights
 
 Plane = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=SyntheticScene)

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 from fingerflow import graphs
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.pipeline.stages.contact.contact import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.median_bias import MedianBias
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FIELDS
-from fingerflow.tracker.border import Border
+from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import EntryGradients
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.study.keys import InputFile, Keys, look_at
+from fingerflow.study.cache_keys import InputFile, Keys, look_at
 
 _DIGEST = "digest"  # of the rest of `row.json`: a number corrupted on disk must not get into the table
 MEASURED, FAILED = "measured", "failed"

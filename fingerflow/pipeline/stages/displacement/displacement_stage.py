@@ -7,16 +7,16 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, reference_of
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY
-from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 

@@ -19,15 +19,15 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
-from fingerflow.player.live import LiveData, LiveForces, LiveViews
-from fingerflow.player.page import serve_page
+from fingerflow.player.live_data import LiveData, LiveForces, LiveViews
+from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import Played
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
-from fingerflow.tracker.frame_quality import USABLE
-from fingerflow.tracker.stream import Event, FrameOutcome, StreamTracker, Work
+from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker, Work
+from fingerflow.tracker.stream_frame_quality import USABLE
 
 log = logging.getLogger("fingerflow.player")
 

@@ -11,8 +11,8 @@ import xarray as xr
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.tables.columns import Table, by_frame, by_point, by_track
-from fingerflow.results.tables.maps import ORIGIN as _ORIGIN
-from fingerflow.results.tables.maps import Maps, maps_of
+from fingerflow.results.tables.grid_maps import ORIGIN as _ORIGIN
+from fingerflow.results.tables.grid_maps import Maps, maps_of
 from fingerflow.results.tables.matlab import save_matlab
 
 ROWS = {"frame": by_frame, "point": by_point, "track": by_track}

@@ -10,7 +10,7 @@ from fingerflow.cli.app import AsJson, app, print_json
 from fingerflow.errors import FingerflowError
 
 if TYPE_CHECKING:
-    from fingerflow.player.live import LiveForces
+    from fingerflow.player.live_data import LiveForces
 
 
 @app.command()
@@ -43,7 +43,7 @@ def stream(context: typer.Context) -> None:
 def _forces_of(file: Path) -> "LiveForces | None":
     """Return the forces as `process` does; None where they cannot be read, and the log says why."""
     from fingerflow.pipeline.run import process
-    from fingerflow.player.live import LiveForces
+    from fingerflow.player.live_data import LiveForces
     from fingerflow.schema.scene import load_scene
 
     try:

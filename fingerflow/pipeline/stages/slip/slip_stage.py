@@ -20,18 +20,18 @@ from fingerflow.models.partial_slip import (
     fit_friction,
     judge_trial,
 )
-from fingerflow.models.partial_slip.border import Seen, seen_displacement
+from fingerflow.models.partial_slip.stick_border import Seen, seen_displacement
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.contact.components import largest_component
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.slip.slip_grid import Field, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # share of the contact in which the displacement must be known

@@ -11,7 +11,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.child_process import check_in_child_process
-from fingerflow.recordings.guard.files import check_file, plausible_size, reading
+from fingerflow.recordings.guard.file_checks import check_file, plausible_size, reading
 
 KIND = "HDF5"
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.force_table import ForceTable
 from fingerflow.recordings.forces.forces import Forces
-from fingerflow.recordings.forces.table import ForceTable
-from fingerflow.recordings.guard.files import check_file, reading
+from fingerflow.recordings.guard.file_checks import check_file, reading
 
 READER_OF = {
     ".csv": "delimited_text",

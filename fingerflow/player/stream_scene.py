@@ -15,7 +15,7 @@ from fingerflow.errors import PlayerError
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_file import SceneError, read_scene
 from fingerflow.schema.views import View
-from fingerflow.tracker.stream import TrackerSettings
+from fingerflow.tracker.frame_tracker import TrackerSettings
 
 
 @dataclass(frozen=True)
