@@ -10,7 +10,7 @@
 void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
                                   std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
                                   float* density_margin, float* numbers, int threads) {
-    fingerflow_light_gain(given, block, gains, threads);
+    fingerflow_illumination_gain(given, block, gains, threads);
     std::vector<float> shares(static_cast<std::size_t>(given->frames.batch));
     for (std::size_t frame = 0; frame < shares.size(); ++frame) {
         const float share = limits[frame] * (std::isfinite(gains[frame]) ? gains[frame] : 1.0f);

@@ -205,3 +205,16 @@ def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> N
     assert len(pages) > 300
     stated = {str(path.relative_to(PACKAGE)) for path in pages if "µm/mm" in path.read_text(encoding="utf-8")}
     assert {name for name in stated if not name.startswith("schema/")} == set()
+
+
+#: Stems that occur twice, of files that hold the same thing: for tensors and for arrays, or of two commands.
+_SAME_THING = {"__main__", "block_means", "cells", "checks", "deformation"}
+
+
+def test_files_of_one_stem_hold_the_same_thing() -> None:
+    """A twin stands in the room `kernels`, `engines` or `tracker`; what else shares a name would be opened in vain."""
+    stems: dict[str, list[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        if path.stem != "__init__":
+            stems.setdefault(path.stem, []).append(str(path.relative_to(PACKAGE)))
+    assert {stem for stem, files in stems.items() if len(files) > 1} <= _SAME_THING, stems

@@ -145,7 +145,7 @@ def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: l
     scene.write_text(text[: text.index("[stream]")], encoding="utf-8")  # whose region is of more skin than touches
     of_press = set(asked)
     rolled, by_torch = (fingerflow.process(scene, engine=engine) for engine in ("onnx", "torch"))
-    chosen = (by_torch["status"] != TrackStatus.NOT_CHOSEN_YET).values.argmax(0)
+    chosen = (by_torch["status"] != TrackStatus.NOT_SEEDED_YET).values.argmax(0)
     assert len(np.unique(chosen)) >= 3
     more = set(asked) - of_press
     assert [name.rpartition("-")[0] for name in more] == ["FieldsGraph"]  # with skin that moved in

@@ -61,7 +61,7 @@ class FrameContact(NamedTuple):
         real_area_px, gross_area_px: (K,) px, areas of the real and of the apparent (gross) contact.
         center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
         density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `ops.contact.cells.covered`.
-        light_gain: (K,) illumination gain relative to the reference of the empty glass; NaN where no glass is visible.
+        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible.
     """
 
     real_contact_mask: Array | None
@@ -71,7 +71,7 @@ class FrameContact(NamedTuple):
     semi_axes: Array
     angle: Array
     density_margin: Array
-    light_gain: Array
+    illumination_gain: Array
 
 
 class KeyFrame(NamedTuple):
@@ -258,7 +258,7 @@ class Engine(Protocol):
         """Track templates, or the rows (L,) of them, through consecutive frames.
 
         Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
-        `tracker.prediction`. A point that one step does not reach is tracked on from where the step ended, in up to
+        `tracker.point_prediction`. A point that one step does not reach is tracked on from where it ended, in up to
         `kernels.tracking_limits.ROUNDS` steps.
         """
         ...

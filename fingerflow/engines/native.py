@@ -81,7 +81,7 @@ class NativeEngine:
         own = self.settings
         sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "stride_px": own.stride_px}
         unknown = np.full(len(images), np.nan, np.float32)
-        gains = self.contact(images, light, unknown).light_gain
+        gains = self.contact(images, light, unknown).illumination_gain
         return contact_frames.contact_threshold(images, light.light, light.black, gains, **sizes)
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.prediction`."""
+"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.point_prediction`."""
 
 from __future__ import annotations
 

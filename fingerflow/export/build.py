@@ -55,7 +55,7 @@ UNITS = {
     **dict.fromkeys(("points", "prediction", "estimate", "start", "found", "expected", "places", "shift"), "px"),
     **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start", "neighbour_offset"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px", "covariance", "found_covariance"), "px^2"),
-    **dict.fromkeys((*_FIELDS, "gradient", "threshold", "light_gain", "density_margin"), "1"),
+    **dict.fromkeys((*_FIELDS, "gradient", "threshold", "illumination_gain", "density_margin"), "1"),
     **dict.fromkeys(("mask", "real_contact_mask", "status", "warp", "inverse_warp", "returns", "among"), "1"),
     **dict.fromkeys(("neighbour_number", "neighbour_within", "support_weights", "support_within"), "1"),
     **dict.fromkeys(("off_neighbours", "uncertain"), "1"),

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.contact_threshold import contact_threshold
-from fingerflow.ops.contact.light_gain import light_gain
+from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 
 
@@ -20,8 +20,8 @@ class Contact(NamedTuple):
         center, semi_axes: (B, 2) px, `angle` (B,) rad: ellipse of the apparent contact, NaN without contact.
         density_margin: (B, 1, h, w) of the apparent contact on cells; `ops.contact.cells.covered` tests with it
             whether a position lies inside.
-        light_gain: (B,) illumination gain relative to the image of the empty glass. NaN where no glass is visible;
-            a gain of 1 is used there.
+        illumination_gain: (B,) gain of the light relative to the image of the empty glass. NaN where no glass is
+            visible; a gain of 1 is used there.
     """
 
     real_contact_mask: Tensor
@@ -31,14 +31,14 @@ class Contact(NamedTuple):
     semi_axes: Tensor
     angle: Tensor
     density_margin: Tensor
-    light_gain: Tensor
+    illumination_gain: Tensor
 
 
 class ContactGraph(nn.Module):
     """Segmentation of contact-view frames into `Contact` (Willemet et al. 2021, supplement, figure S3 A).
 
     A pixel is in contact where its count lies below black + a limit light, with the illumination gain a
-    (`light_gain`). No quotient of images is formed.
+    (`illumination_gain`). No quotient of images is formed.
 
     Args:
         median_px: odd side of the median window. The median rounds the ends of the ridges: 3 preserves the real
@@ -61,7 +61,7 @@ class ContactGraph(nn.Module):
 
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
         """Return the `Contact` of frames (B, 1, H, W); `light`, `black` and `limit` are a `Light` of one view or B."""
-        gain = light_gain(frames, light, black, self.gross_radius_px)
+        gain = illumination_gain(frames, light, black, self.gross_radius_px)
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
         mask = real_contact_mask(frames, light, black, share, self.median_px)
         region = apparent_contact(mask, self.gross_radius_px, self.cell_px, light.dtype)
@@ -78,7 +78,7 @@ class ContactGraph(nn.Module):
 
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
         """Return the relative intensity loss (B,) half-way between ridges and valleys; NaN without contact."""
-        gain = light_gain(frames, light, black, self.gross_radius_px)
+        gain = illumination_gain(frames, light, black, self.gross_radius_px)
         return contact_threshold(
             frames,
             light,

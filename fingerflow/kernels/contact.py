@@ -64,8 +64,8 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
     return mask
 
 
-def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
-    """Return the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.light_gain`.
+def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
+    """Return the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.illumination_gain`.
 
     Arrays are as for `real_contact_mask`.
 
@@ -75,7 +75,7 @@ def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
     if side < 8 or side % 8:
         raise ValueError(f"blocks of {side} px: the compiled gain takes multiples of 8")
     given, gains = lit(frames, light, black), empty(frames, "float32", frames.shape[0])
-    entry("light_gain")(**given, side=side, gains=gains, threads=threads())
+    entry("illumination_gain")(**given, side=side, gains=gains, threads=threads())
     return gains
 
 

@@ -13,5 +13,5 @@ def cell_of(radius: int) -> int:
 
 
 def block_of(radius: int) -> int:
-    """Return the side (px) of the blocks in which `light_gain` compares a frame with the empty glass."""
+    """Return the side (px) of the blocks in which `illumination_gain` compares a frame with the empty glass."""
     return max(_LEAST_BLOCK, (2 * radius + 1) // 8 * 8)

@@ -121,8 +121,8 @@ struct fingerflow_lit_frames {
 void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
                                   unsigned char* real_contact_mask, int threads);
 
-// Brightness of the lamp in each frame (fingerflow/ops/contact/light_gain.py), from blocks of `side` px, a multiple of 8.
-void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
+// Brightness of the lamp in each frame (fingerflow/ops/contact/illumination_gain.py), from blocks of `side` px, a multiple of 8.
+void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
 // Contact of frames in one call, as fingerflow/graphs/contact_graph.py has it: the gains (batch) of the light from blocks of
 // `block` px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it

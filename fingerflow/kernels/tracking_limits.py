@@ -21,7 +21,7 @@ class TrackStatus(IntEnum):
     OFF_NEIGHBOURS = 8  # it was found, but not where any plane through its neighbours leads
     FRAME_NOT_USABLE = 9  # the frame is no picture of the trial (`pipeline.stages.preparation.frame_check`)
     WINDOW_DIFFERS = 10  # its window is no longer the one that was seeded (`tracker.subset_verification`)
-    NOT_CHOSEN_YET = 11  # seeded in a later frame, as skin came into contact there (`pipeline.stages.tracking`)
+    NOT_SEEDED_YET = 11  # seeded in a later frame, as skin came into contact there (`pipeline.stages.tracking`)
 
 
 class Number(IntEnum):

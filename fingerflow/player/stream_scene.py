@@ -43,8 +43,8 @@ class StreamScene:
     output: Path | None = None
     region: View | None = None
     drawn: Mapping[str, Any] | None = None
-    rekey_share: float | None = None
-    rekey_frames: int | None = None
+    update_share: float | None = None
+    update_frames: int | None = None
     has_forces: bool = False
     asked: Mapping[str, Any] = field(default_factory=dict)
 
@@ -69,8 +69,8 @@ def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
         topography_to_contact=scene.topography_to_contact,
         region=region,
         threshold=scene.given_threshold,
-        rekey_share=scene.rekey_share,
-        rekey_frames=scene.rekey_frames,
+        update_share=scene.update_share,
+        update_frames=scene.update_frames,
     )
 
 
@@ -108,8 +108,8 @@ def load_scene(path: Path) -> StreamScene:
         output=stream["output"],
         region=None if stream["region"] is None else View(**stream["region"]),
         drawn=views["topography"].get("region"),
-        rekey_share=stream["rekey_share"],
-        rekey_frames=stream["rekey_frames"],
+        update_share=stream["update_share"],
+        update_frames=stream["update_frames"],
         has_forces=found["forces"] is not None,
         asked={
             f"{table}.{key}": value

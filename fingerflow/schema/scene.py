@@ -164,8 +164,8 @@ class StreamSettings:
 
     output: Path | None
     region: View | None
-    rekey_share: float | None
-    rekey_frames: int | None
+    update_share: float | None
+    update_frames: int | None
 
 
 @dataclass(frozen=True)

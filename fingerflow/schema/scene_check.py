@@ -8,6 +8,7 @@ from typing import Any
 
 from fingerflow.schema.calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
 from fingerflow.schema.scene_keys import (
+    RENAMED,
     RULES,
     SCENE,
     File,
@@ -168,6 +169,9 @@ class _Check:
         return path
 
     def _unknown(self, keys: Keys, known: list[str]) -> None:
+        if now := RENAMED.get(".".join(keys)):
+            self._refuse(keys, f"is no longer a key: it is called {now!r} now")
+            return
         close = difflib.get_close_matches(keys[-1], known, n=1)
         self._meant |= {(*keys[:-1], key) for key in close}
         hint = f"did you mean {close[0]!r}? " if close else ""

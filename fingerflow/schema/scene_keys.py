@@ -327,9 +327,9 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "output": SceneKey(File(there_for=NOBODY), "folder of the results", sample="live"),
             "region": SceneTable(RECTANGLE, "part of the topography view in which points are seeded, by `process` too",
                 sample={"rows": [100, 400], "columns": [100, 540]}),
-            "rekey_share": SceneKey(NumberType(above=0, most=1), "least share of tracked points before templates are "
+            "update_share": SceneKey(NumberType(above=0, most=1), "least share of tracked points before templates are "
                 "updated", sample=0.8),
-            "rekey_frames": SceneKey(Whole(least=1), "most frames before templates are updated", sample=300),
+            "update_frames": SceneKey(Whole(least=1), "most frames before templates are updated", sample=300),
         },
         "player of a deployment bundle",
     ),
@@ -351,6 +351,10 @@ def views_of(kind: Kind) -> SceneTable:
         for name in (*kind.views, *kind.optional_views)
     }
     return SceneTable(tables, "rectangles of the frame", BOTH)
+
+
+#: Former names of keys, by their dotted paths, and what they are called now.
+RENAMED = {"stream.rekey_share": "update_share", "stream.rekey_frames": "update_frames"}
 
 
 def optional(table: SceneKey | SceneTable) -> SceneTable:

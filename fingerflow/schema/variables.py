@@ -153,7 +153,7 @@ TRACK_STATUS = (
     "off_neighbours",
     "frame_not_usable",
     "window_differs",
-    "not_chosen_yet",
+    "not_seeded_yet",
 )
 TRACKING = (
     Variable(
@@ -202,7 +202,7 @@ TRACKING = (
     ),
 )
 
-ENTRY = ("never", "covered", "moved_in", "chosen_inside")
+ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement. The attribute ``reference`` of a variable states it for this result.
 SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
@@ -217,7 +217,7 @@ DISPLACEMENT = (
         "last of their points has touched; of skin that had no point until it was inside nobody knows when it came: "
         "it has no displacement",
         "u1",
-        equation="covered where the border of the gross contact came over the point, moved_in where the point "
+        equation="covered where the border of the gross contact came over the point, entered where the point "
         "moved before over the glass by more than half of what both approached each other",
         flags=ENTRY,
     ),
@@ -475,7 +475,7 @@ STREAM = (
         label="partial slip",
     ),
     Variable(
-        "light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
+        "illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
         equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass",
     ),
     Variable(
@@ -483,7 +483,7 @@ STREAM = (
         equation=_STRAIN_EQUATION, shown_in=PERCENT,
     ),
     Variable(
-        "moved_in", FRAME_POINT, "1",
+        "entered", FRAME_POINT, "1",
         "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
         "entry, its neighbours from that moment",
         "u1", equation="1 where neighbours that touch have moved by an eighth of the gauge length, in the median",

@@ -11,7 +11,7 @@ Array = NDArray[Any]
 
 #: Largest number of consecutive frames after which an image that returns counts as the one before.
 LONGEST = 3
-# Units of distance, the least that counts: noise lies below the first; `light_gain` handles smaller changes of light.
+# Units of distance, the least that counts: noise lies below the first; `illumination_gain` handles smaller changes.
 _LEAST, _LEAST_LIGHT = 3e-3, 0.055
 _TINY = np.finfo(np.float32).tiny
 

@@ -18,9 +18,16 @@ Array = NDArray[Any]
 
 #: Names of the results of a frame, variables of the data set.
 RESULTS = (
-    *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "ellipse_angle", "light_gain"),
+    *(
+        "real_contact_area",
+        "gross_contact_area",
+        "ellipse_center",
+        "ellipse_semi_axes",
+        "ellipse_angle",
+        "illumination_gain",
+    ),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "curl", "point_strain", "median_divergence", "moved_in", "slip_residual", "slip_flag"),
+    *("divergence", "curl", "point_strain", "median_divergence", "entered", "slip_residual", "slip_flag"),
 )
 
 
@@ -77,7 +84,7 @@ class FrameResults:
             "ellipse_center": ellipse.center[0],
             "ellipse_semi_axes": ellipse.semi_axes[0],
             "ellipse_angle": contact.angle[0],
-            "light_gain": contact.light_gain[0],
+            "illumination_gain": contact.illumination_gain[0],
             "position_px": found.points[0],
             "forward_backward_error": found.error[0],
             "position_std_px": deviation[0],
@@ -125,5 +132,5 @@ class FrameResults:
             "curl": fields.curl[0],
             "point_strain": fields.strain[0],
             "median_divergence": fields.median[0, 0],
-            "moved_in": among[0],
+            "entered": among[0],
         }

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_results import FrameResults, Seeding
+from fingerflow.tracker.point_prediction import PointMotion, known_of
 from fingerflow.tracker.points import STREAM, Points, Resolved
-from fingerflow.tracker.prediction import PointMotion, known_of
 from fingerflow.tracker.stream_frame_quality import MEASURED, USABLE, Blocks, FrameCheck
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
@@ -42,8 +42,8 @@ class TrackerSettings:
         topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
         region: (H, W) bool of the topography view, in which points are seeded.
         threshold: relative intensity loss above which a pixel touches; None to measure it.
-        rekey_share, rekey_frames: a new key frame is taken when less than this share of its points is tracked, or after
-            so many frames.
+        update_share, update_frames: a new key frame is taken when less than this share of its points is tracked, or
+            after so many frames.
     """
 
     points: int
@@ -52,8 +52,8 @@ class TrackerSettings:
     topography_to_contact: Array
     region: Array
     threshold: float | None = None
-    rekey_share: float | None = None
-    rekey_frames: float | None = None
+    update_share: float | None = None
+    update_frames: float | None = None
 
 
 class Frame:
@@ -202,7 +202,7 @@ class StreamTracker:
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
         self._search = ThresholdSearch(lag + _LEARNT_AFTER)
-        self._upkeep = Upkeep(settings.rekey_share or _REKEY_SHARE, settings.rekey_frames or math.inf)
+        self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _Known | None = None
         self._known: dict[int, _Known | None] = {}  # motion after each of the last frames, by their index

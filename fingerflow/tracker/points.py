@@ -23,7 +23,7 @@ from fingerflow.engines.engine import (
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import REACH, UPDATE_PX, Number, TrackStatus
-from fingerflow.tracker.prediction import TRUSTED, PointMotion, known_of
+from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, known_of
 from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
 from fingerflow.tracker.subset_verification import Verification
 

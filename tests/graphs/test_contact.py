@@ -177,7 +177,7 @@ def test_light_that_has_changed_moves_nothing(gain: float) -> None:
     """The lamp's gain is read from the glass around the contact: areas stay within 0.5 %, the threshold with them."""
     light, _ = drawn((120, 95))
     steady, changed = measured(light, 2.0), measured(gain * light, 2.0)
-    assert float(changed.contact.light_gain) == pytest.approx(gain, rel=0.002)
+    assert float(changed.contact.illumination_gain) == pytest.approx(gain, rel=0.002)
     assert float(changed.threshold) == pytest.approx(float(steady.threshold), abs=0.004)
     for name in ("real_area_px", "gross_area_px"):
         expected = getattr(steady.contact, name)

@@ -47,6 +47,7 @@ def kernel_calls() -> dict[str, Call]:
     tall = first.repeat(1, 1, 4, 1)
     covered = tall > 110
     light, one = torch.full((1, 1, *tall.shape[2:]), 200.0), torch.ones(2)
+    dimmed = (0.9 * light).byte().repeat(2, 1, 1, 1)
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
@@ -61,7 +62,7 @@ def kernel_calls() -> dict[str, Call]:
         "median": call(kernels.median, tall, 5),
         "normalize": call(kernels.normalize, tall, light, 0 * light, one[:1]),
         "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
-        "light_gain": call(kernels.light_gain, (0.9 * light).byte().repeat(2, 1, 1, 1), light, 0 * light, 8),
+        "illumination_gain": call(kernels.illumination_gain, dimmed, light, 0 * light, 8),
         "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
         "mean_response": call(kernels.mean_response, tall),
         "halve": call(kernels.halve, tall),

@@ -80,7 +80,7 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (int size : {1, 3, 15}) fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads);
         std::vector<float> quotients(bytes.size());
         fingerflow_normalize(&lit, limits.data(), quotients.data(), bytes.data(), threads);
-        for (std::int64_t side : {8, 16, 40}) fingerflow_light_gain(&lit, side, gains.data(), threads);
+        for (std::int64_t side : {8, 16, 40}) fingerflow_illumination_gain(&lit, side, gains.data(), threads);
         std::vector<float> cells(static_cast<std::size_t>(batch * ((height + 3) / 4) * ((width + 3) / 4)));
         fingerflow_contact_of_frames(&lit, limits.data(), 3, 16, 8, 4, gains.data(), bytes.data(), cells.data(), numbers.data(), threads);
         std::vector<float> thresholds(limits.size());

@@ -27,7 +27,7 @@ def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tens
     expected = graph(*given)
     assert np.array_equal(found.real_contact_mask, expected.real_contact_mask.numpy())
     assert np.array_equal(found.density_margin, expected.density_margin.numpy(), equal_nan=True)
-    assert np.array_equal(found.gains, expected.light_gain.numpy(), equal_nan=True)
+    assert np.array_equal(found.gains, expected.illumination_gain.numpy(), equal_nan=True)
     numbers = (
         expected.real_area_px[:, None],
         expected.gross_area_px[:, None],

@@ -16,7 +16,7 @@ from fingerflow.kernels.field_limits import STRAIN_MEASURES
 from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.contact_threshold import contact_threshold
-from fingerflow.ops.contact.light_gain import light_gain
+from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.otsu import histogram, otsu_threshold
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import Apart, area_medians
@@ -163,7 +163,7 @@ def gains() -> Iterator[Call]:
         frames = (0.93 * light + black).repeat(shape[0], 1, 1, 1)
         frames[..., : shape[1] // 2, : shape[2] // 2] *= 0.6
         frames = frames if dtype.is_floating_point else frames.round().to(torch.int32)
-        yield partial(light_gain, radius=radius), (frames.to(dtype), light, black)
+        yield partial(illumination_gain, radius=radius), (frames.to(dtype), light, black)
 
 
 def contact_thresholds() -> Iterator[Call]:
@@ -462,7 +462,7 @@ TWINS = {
     "normalize_illumination": Twin(quotients),
     "apparent_contact": Twin(regions, (2e-5, 2e-3), REGION),
     "real_contact_mask": Twin(contact_masks),
-    "light_gain": Twin(gains, (1e-5, 0.0)),
+    "illumination_gain": Twin(gains, (1e-5, 0.0)),
     "contact_threshold": Twin(contact_thresholds, (0.0, 1e-4)),
     "contact_threshold of hard frames": Twin(thresholds_of_hard_frames, (0.0, 1e-2)),
     "halved_image": Twin(partial(whole_frames, halved_image)),

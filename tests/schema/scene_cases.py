@@ -69,8 +69,8 @@ rate_window_s = 0.05
 [stream]
 output = "results"
 region = {rows = [100, 400], columns = [100, 540]}
-rekey_share = 0.8
-rekey_frames = 300
+update_share = 0.8
+update_frames = 300
 """
 _CALIBRATION = RIGHT[RIGHT.index("mm_per_px") : RIGHT.index("\n\n[contact]")]
 MATRIX = "[[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]"
@@ -166,7 +166,8 @@ WRONG = (
     _number("points", "700", "tracking.points is '700': it should be a valid integer", '"700"'),
     _number("points", "700", "tracking.points is True: it should be a valid integer", "true"),
     _number("points", "700", "tracking.points is 700.0: it should be a valid integer", "700.0"),
-    _number("rekey_frames", "300", "stream.rekey_frames is 2.5: it should be a valid integer", "2.5"),
+    WrongScene("update_frames = 300", "rekey_frames = 300", "rekey_frames", "it is called 'update_frames' now"),
+    _number("update_frames", "300", "stream.update_frames is 2.5: it should be a valid integer", "2.5"),
     _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is True: it should be a valid number", "true"),
     _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is nan: it should be a finite number", "nan"),
     _number("depth_mm", "2.0", "fields.depth_mm is inf: it should be a finite number", "inf"),
@@ -191,8 +192,8 @@ WRONG = (
     _number("poisson_ratio", "0.4", "fields.poisson_ratio is -1.0: it should be greater than -1", "-1.0"),
     _number("young_modulus_mpa", "1.0", "fields.young_modulus_mpa is -1.0: it should be greater than 0", "-1.0"),
     _number("rate_window_s", "0.05", "fields.rate_window_s is 0: it should be greater than 0", "0"),
-    _number("rekey_share", "0.8", "stream.rekey_share is 2.0: it should be less than or equal to 1", "2.0"),
-    _number("rekey_frames", "300", "stream.rekey_frames is 0: it should be greater than or equal to 1", "0"),
+    _number("update_share", "0.8", "stream.update_share is 2.0: it should be less than or equal to 1", "2.0"),
+    _number("update_frames", "300", "stream.update_frames is 0: it should be greater than or equal to 1", "0"),
     _number("frame_rate", "300.0", "recording.frame_rate is 0.0: it should be greater than 1e-06", "0.0"),
     _number("frame_rate", "300.0", "recording.frame_rate is 3.001e-318: it should be greater than 1e-06", "300.1e-320"),
     _number("sample_rate", "1000.0", "forces.sample_rate is -1: it should be greater than 0", "-1"),

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.tracker.prediction import PointMotion
+from fingerflow.tracker.point_prediction import PointMotion
 
 Array = np.ndarray[Any, Any]
 START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)

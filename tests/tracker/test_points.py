@@ -12,8 +12,8 @@ from scipy import ndimage
 from fingerflow.engines.engine import Engine, EngineSettings, FoundPoints
 from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import UPDATE_PX, TrackStatus
+from fingerflow.tracker.point_prediction import TRUSTED
 from fingerflow.tracker.points import FASTEST_PX, MOST_FRAMES, STREAM, Points, Resolved
-from fingerflow.tracker.prediction import TRUSTED
 
 START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)
 IMAGE = np.zeros((1, 1, 1, 1), np.float32)

@@ -44,7 +44,7 @@ def contact_threshold(
 
     Args:
         frames, light, black, median_px: as for `real_contact_mask`.
-        gain: (B,) illumination gain of `light_gain`; NaN or None counts as 1.
+        gain: (B,) illumination gain of `illumination_gain`; NaN or None counts as 1.
         radius: px, of `apparent_contact`.
         stride_px: sampling step in x and y of the pixels that are counted; 1 gives the exact medians. With 8 the
             threshold changes by about 0.002 from 5 mm² of contact on.

@@ -24,7 +24,7 @@ ROLLING = Rolling(
     finger=(6.4, 3.4),
     semi_axes=(2.6, 2.2),
 )
-LAST, NOT_YET = ROLLING.n_frames - 1, TRACK_STATUS.index("not_chosen_yet")
+LAST, NOT_YET = ROLLING.n_frames - 1, TRACK_STATUS.index("not_seeded_yet")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_fast_skin_is_known(result: xr.Dataset) -> None:
     assert result["field_coverage"].values.min() > 0.85
     assert np.isfinite(result["median_divergence"].values[:LAST]).all()
     entry = result["entry"].values
-    assert (entry == ENTRY.index("moved_in")).sum() > 40
+    assert (entry == ENTRY.index("entered")).sum() > 40
 
 
 def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:

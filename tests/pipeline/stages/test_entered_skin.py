@@ -22,7 +22,7 @@ from fingerflow.tracker.onset import Touches
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
 STEP_MM, GAUGE_MM = 0.1, 1.6
-MOVED_IN, LAST = ENTRY.index("moved_in"), SLIDE.n_frames - 1
+MOVED_IN, LAST = ENTRY.index("entered"), SLIDE.n_frames - 1
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
 class Streamed(NamedTuple):
     """What a stream says of points in a frame: which have moved in, their divergence, and its median."""
 
-    moved_in: np.ndarray
+    entered: np.ndarray
     divergence: np.ndarray
     median_divergence: float
 
@@ -110,7 +110,7 @@ def test_a_stream_has_the_median_of_a_recording(result: xr.Dataset, streamed: li
     recording's; without these points it is 10 below.
     """
     points, expected = streamed[LAST].divergence, result["divergence"].values[LAST]
-    told, recorded = streamed[LAST].moved_in, result["entry"].values == MOVED_IN
+    told, recorded = streamed[LAST].entered, result["entry"].values == MOVED_IN
     assert told.sum() > 30
     assert (told != recorded).sum() <= 0.1 * told.sum()
     np.testing.assert_allclose(points[told & recorded], expected[told & recorded], rtol=0, atol=1e-5)

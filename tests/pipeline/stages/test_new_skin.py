@@ -16,7 +16,7 @@ from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
-NOT_YET = TRACK_STATUS.index("not_chosen_yet")
+NOT_YET = TRACK_STATUS.index("not_seeded_yet")
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
 def test_entry_is_their_own(result: xr.Dataset) -> None:
     """To 0.15 mm of way, 3 frames: the border is known to 0.06 mm, and a touch counts from the frame after it."""
     status, entry = result["status"].values, result["entry"].values
-    came = np.flatnonzero((status[0] == NOT_YET) & (entry == ENTRY.index("moved_in")))
+    came = np.flatnonzero((status[0] == NOT_YET) & (entry == ENTRY.index("entered")))
     assert len(came) > 50
     places = ROLLING.truth.topography_positions(
         np.stack([result["position_px"].values[int(np.argmax(status[:, k] != NOT_YET)), k] for k in came])
@@ -86,7 +86,7 @@ def test_entry_is_their_own(result: xr.Dataset) -> None:
     material = np.stack([ROLLING.truth.material(at[None], k)[0] for at, k in zip(places, chosen, strict=True)])
     late = result["onset_frame"].values[came] - ROLLING.truth.onset_frame(material)
     assert np.median(np.abs(late)) <= 3
-    inside = entry == ENTRY.index("chosen_inside")
+    inside = entry == ENTRY.index("seeded_inside")
     assert np.isnan(result["displacement"].values[:, inside]).all()
 
 

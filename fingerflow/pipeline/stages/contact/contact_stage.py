@@ -95,8 +95,8 @@ class ContactStage(Stage):
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
-        self._gain[indices] = contact.light_gain
-        self._blind[indices] = np.isnan(contact.light_gain) & (contact.real_area_px > 0)
+        self._gain[indices] = contact.illumination_gain
+        self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
 
     def finish(self) -> None:
@@ -184,7 +184,7 @@ class ContactStage(Stage):
         seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
         unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact
         images = self._engine.images(self._view.crop(frame))
-        gain = float(self._engine.contact(images, self._light, unknown).light_gain[0])
+        gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:

@@ -40,7 +40,7 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     an extrapolated plane.
     """
     places = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
-    later = status[slice(first, first + 1)][0] == TrackStatus.NOT_CHOSEN_YET
+    later = status[slice(first, first + 1)][0] == TrackStatus.NOT_SEEDED_YET
     seeded = np.full(len(places), first)
     if not later.any():
         return CommonFrame(places, seeded, later)

@@ -126,8 +126,8 @@ class DisplacementStage(Stage):
         self.entered = np.flatnonzero(moves_in)
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
         covered = np.isfinite(self.reference).all(1)
-        entry = np.where(moves_in, ENTRY.index("moved_in"), covered)
-        self.results.put("entry", np.where(self._inside, ENTRY.index("chosen_inside"), entry).astype(np.uint8))
+        entry = np.where(moves_in, ENTRY.index("entered"), covered)
+        self.results.put("entry", np.where(self._inside, ENTRY.index("seeded_inside"), entry).astype(np.uint8))
         self.results.put("reference_position", self.reference, self._attributes)
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)

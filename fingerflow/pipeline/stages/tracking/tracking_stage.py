@@ -22,8 +22,8 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
+from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import Points, beside
-from fingerflow.tracker.prediction import PointMotion
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
 MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
@@ -36,7 +36,7 @@ class TrackingStage(Stage):
     so far: errors do not accumulate. With the previous frame as template they do.
 
     Where skin comes into contact that lay outside the first seeding region (`NewSkin`), points are seeded in the last
-    frame of a batch, which is their key frame. In the frames before they have the status NOT_CHOSEN_YET. A press has no
+    frame of a batch, which is their key frame. In the frames before they have the status NOT_SEEDED_YET. A press has no
     such points.
     """
 
@@ -141,7 +141,7 @@ class TrackingStage(Stage):
             "position_std_px": np.sqrt(found.variance),
             "forward_backward_error": error,
             "status": status,
-            "in_contact": covered & (status != TrackStatus.NOT_CHOSEN_YET),
+            "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
         }.items():
             self.results[name][indices] = values
         tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
@@ -235,7 +235,7 @@ class TrackingStage(Stage):
             self._full = True
             self.warnings.append(f"no more points are chosen where skin comes into contact: {why}")
         if more:
-            self.results.grow("point", points + more, {"status": TrackStatus.NOT_CHOSEN_YET})
+            self.results.grow("point", points + more, {"status": TrackStatus.NOT_SEEDED_YET})
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
@@ -281,5 +281,5 @@ def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
-    before.status[:-1] = TrackStatus.NOT_CHOSEN_YET
+    before.status[:-1] = TrackStatus.NOT_SEEDED_YET
     return before

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.contact.light_gain import light_gain
+from fingerflow.ops.contact.illumination_gain import illumination_gain
 
 pytestmark = pytest.mark.usefixtures("each_form")
 
@@ -40,7 +40,7 @@ def test_gain_is_that_of_the_glass(shape: tuple[int, int], gain: float, share: f
     light = glass(*shape) * 0.9
     for angle in (0.0, 0.7, math.pi / 2):
         view = frame(light, kept(*shape, share, angle, 0.02), gain)
-        assert float(light_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(gain, rel=0.003)
+        assert float(illumination_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(gain, rel=0.003)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
@@ -49,7 +49,7 @@ def test_no_glass_no_gain(angle: float, valley: float) -> None:
     light = glass(512, 640)
     for gain in (0.8, 1.0, 1.2):
         view = frame(light * 0.9, kept(512, 640, 1.0, angle, valley), gain)
-        assert light_gain(view, light * 0.9, torch.full_like(light, 6.0)).isnan().all()
+        assert illumination_gain(view, light * 0.9, torch.full_like(light, 6.0)).isnan().all()
 
 
 def test_a_reflection_and_dirt_do_not_count() -> None:
@@ -59,7 +59,7 @@ def test_a_reflection_and_dirt_do_not_count() -> None:
     share[..., 400:440, 600:630] = 0.7
     view = frame(light, share, 0.95)
     view[..., ::53, ::31] = 255  # salt
-    assert float(light_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(0.95, rel=0.003)
+    assert float(illumination_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(0.95, rel=0.003)
 
 
 @pytest.mark.parametrize("dtype", [torch.uint16, torch.int32, torch.float32, torch.float64])
@@ -68,7 +68,7 @@ def test_dtype_changes_nothing(dtype: torch.dtype) -> None:
     view = frame(light, kept(256, 320, 0.4, 0.3, 0.04), 0.9)
     black = torch.full_like(light, 6.0)
     torch.testing.assert_close(
-        light_gain(view.to(dtype), light, black), light_gain(view, light, black), rtol=1e-5, atol=0
+        illumination_gain(view.to(dtype), light, black), illumination_gain(view, light, black), rtol=1e-5, atol=0
     )
 
 
@@ -77,17 +77,17 @@ def test_hard_frames_have_no_gain() -> None:
     light = glass(128, 160)
     black = torch.zeros_like(light)
     frames = torch.cat([0 * light, 0 * light + 2000, light * torch.nan, 0.5 * light, 1.6 * light])
-    assert light_gain(frames, light, black).isnan().all()
-    assert light_gain(light, 0 * light, black).isnan().all()
+    assert illumination_gain(frames, light, black).isnan().all()
+    assert illumination_gain(light, 0 * light, black).isnan().all()
     broken = light.clone()
     broken[..., 30:60, 40:90] = torch.nan
-    assert float(light_gain(broken, light, black)) == pytest.approx(1, abs=1e-5)
+    assert float(illumination_gain(broken, light, black)) == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(0, 1, 64, 64), (2, 1, 5, 7), (1, 1, 16, 15), (3, 1, 33, 47)])
 def test_small_frames(shape: tuple[int, ...]) -> None:
     """Without a whole block nothing is known."""
     light = torch.full((1, *shape[1:]), 100.0)
-    gains = light_gain(0.9 * light.expand(shape), light, 0 * light)
+    gains = illumination_gain(0.9 * light.expand(shape), light, 0 * light)
     assert gains.shape == shape[:1]
     assert gains.isnan().all() if min(shape[2:]) < 16 else gains.allclose(torch.tensor(0.9))

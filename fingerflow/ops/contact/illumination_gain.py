@@ -17,7 +17,7 @@ _WIDTHS = (0.04, 0.02, 0.01, 0.01)  # relative half widths of the windows of the
 _NARROW, _BESIDE = 0.02, 0.06
 
 
-def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
+def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
     """Return the ratio of the light in the frame to that of the empty glass where no skin touches; NaN without glass.
 
     A block is wide enough to hold a ridge and the skin beside it. In every block skin is therefore darker than glass
@@ -44,7 +44,7 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
         and light.dtype == black.dtype == torch.float32
         and kernels.serve(frames, light, black)
     ):
-        return kernels.light_gain(frames, light, black, block)
+        return kernels.illumination_gain(frames, light, black, block)
     if min(frames.shape[2:]) < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
     some, given, dark = (image[..., _STEP // 2 :: _STEP, :] for image in (frames, light, black))

@@ -1,5 +1,5 @@
 // build: each instruction set, fused
-// Illumination gain of each frame (fingerflow/ops/contact/light_gain.py): the uppermost mode of the quotients
+// Illumination gain of each frame (fingerflow/ops/contact/illumination_gain.py): the uppermost mode of the quotients
 // sum(frame - black) / sum(light) of blocks of side x side px. It is found by four means within a shrinking width
 // around the largest kTop of the quotients, and is NaN where too few blocks lie at the mode or too many just below.
 // Layout: every kStep-th line is read, one column a lane, into four rows of floats: frame - black, light and their
@@ -149,7 +149,7 @@ float uppermost_mode(const Blocks& blocks) {
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) {
+void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) {
     using namespace fingerflow;
     const Frames& frames = given->frames;
     const std::int64_t width = frames.width, rows = side / kStep, pixels = frames.height * width;
