@@ -78,18 +78,6 @@ struct Classes {
     float threshold, lower, upper, deviation;
 };
 
-// Counts the levels of the pixels inside a mask. Neighbours are often equal, and incrementing one counter twice waits
-// for its store: four histograms in turns.
-void count_levels(const unsigned char* levels, const unsigned char* mask, std::int64_t pixels, std::int64_t* counts) {
-    constexpr int sides = 4;
-    std::int64_t of_sides[sides][kLevels] = {};
-    for (std::int64_t k = 0; k < pixels; ++k)
-        if (mask[k] != 0) ++of_sides[k % sides][levels[k]];
-    std::fill_n(counts, kLevels, 0);
-    for (const auto& side : of_sides)
-        for (int level = 0; level < kLevels; ++level) counts[level] += side[level];
-}
-
 // As `otsu_classes` of fingerflow/ops/contact/otsu.py.
 Classes classes_of(const std::int64_t* counts) {
     constexpr float centre = (kLevels - 1) / 2.0f, least = 1e-6f, most = 1 - 1e-6f;
@@ -170,7 +158,7 @@ public:
     float threshold(float gain) {
         smooth();
         std::int64_t counts[kLevels];
-        count_levels(smooth_, wanted_, rows_ * columns_, counts);
+        count(wanted_, counts);
         const float brightness = std::isfinite(gain) ? gain : 1.0f;
         const auto share = [&](float level) { return 1 - (1 - (level / kScale + kLow)) / brightness; };
         const Classes classes = classes_of(counts);
@@ -180,7 +168,7 @@ public:
         for (int round = 0; round < kRounds; ++round) {
             if (!std::isfinite(level)) return kNaN;
             find_region(1 - ((level + 0.5f) / kScale + kLow));
-            count_levels(smooth_, mask_, rows_ * columns_, counts);
+            count(mask_, counts);
             level = half_way(counts, level, classes);
         }
         const float threshold = share(level);
@@ -208,6 +196,12 @@ private:
         for (unsigned char* const plane : {smooth_, wanted_})
             for (std::int64_t y = 0; y < rows_; ++y)
                 for (std::int64_t x = 0; x < columns_; ++x) plane[y * columns_ + x] = plane[y * stride_ * width_ + x * stride_];
+    }
+
+    // Counts the medians of levels inside a mask.
+    void count(const unsigned char* mask, std::int64_t* counts) const {
+        const Frames medians{smooth_, 1, rows_, columns_, rows_ * columns_, columns_, kUint8};
+        fingerflow_histogram(&medians, mask, 1, 0, columns_, nullptr, kLevels, counts, threads_);
     }
 
     // Writes to `mask_` (rows_, columns_) the lit pixels in the contact region of the given limit.

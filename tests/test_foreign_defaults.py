@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from fingerflow.ops.contact import apparent_contact
+from fingerflow.ops.contact import apparent_contact, otsu
 from tests.embedded import CASES, expected, tensors_of, without_a_case
 
 DTYPES = (torch.float64, torch.bfloat16, torch.float16)
@@ -23,6 +23,7 @@ def restored() -> Iterator[None]:
 
 def without_what_was_kept() -> None:
     """Tensors that ops keep from call to call must not come from before the defaults changed."""
+    otsu._bin_of_level.cache_clear()
     apparent_contact._kept_boxes.cache_clear()
 
 

@@ -5,20 +5,23 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, rows_in_one_piece
+from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, range_of, rows_in_one_piece
 from fingerflow.kernels.checks import (
     check_frames,
     checked,
     described,
+    described_mask,
     lit,
+    mask_of,
 )
-from fingerflow.kernels.library import entry, threads
+from fingerflow.kernels.library import entry, threads, values_are_known
 from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
 CELLS = (1, 2, 4, 8)
+COUNTED_LEVELS = {"uint8": 1 << 8, "uint16": 1 << 16}
 
 
 def median(frames: Array, size: int) -> Array:
@@ -92,6 +95,48 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
     quotients, known = empty(frames, "float32", *frames.shape), empty(frames, "bool", *frames.shape)
     entry("normalize")(**given, least=least, quotients=quotients, known=known, threads=threads())
     return quotients, known
+
+
+def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
+    """Return the histogram (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
+
+    `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
+
+    Raises:
+        TypeError, ValueError: wrong dtype or shape, or fewer bins than levels without `bin_of_level`.
+    """
+    check_frames(frames, tuple(COUNTED_LEVELS))
+    levels = COUNTED_LEVELS[kind(frames)]
+    if bin_of_level is not None:
+        bin_of_level = checked("bin_of_level", bin_of_level, "uint16", (levels,))
+        if values_are_known() and (highest := range_of(bin_of_level)[1]) >= bins:
+            raise ValueError(f"bin_of_level goes up to {highest}: there are {bins} bins, from 0 on")
+    if bins < 1 or bins > 1 << 16 or (bin_of_level is None and bins < levels):
+        raise ValueError(
+            f"{bins} bins for {levels} levels: give 1 to 65536, and the bin of each level if they are fewer"
+        )
+    frames, counts = rows_in_one_piece(frames), empty(frames, "int64", frames.shape[0], bins)
+    entry("histogram")(
+        **described(frames),
+        **described_mask(None if mask is None else mask_of(frames, mask)),
+        bins=bin_of_level,
+        count=bins,
+        counts=counts,
+        threads=threads(),
+    )
+    return counts
+
+
+def otsu_threshold(counts: Array, low: float, high: float) -> Array:
+    """Return Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
+
+    Raises:
+        ValueError: wrong dtype or shape.
+    """
+    batch = counts.shape[0]
+    counts, thresholds = checked("counts", counts, "int64", (batch, 256)), empty(counts, "float64", batch)
+    entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
+    return thresholds
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:

@@ -144,6 +144,16 @@ void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const floa
 void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients,
                           unsigned char* known, int threads);
 
+// Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
+// own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
+void fingerflow_histogram(const fingerflow_frames* frames, const unsigned char* mask, std::int64_t masks,
+                          std::int64_t mask_stride, std::int64_t mask_row_stride, const std::uint16_t* bins,
+                          std::int64_t count, std::int64_t* counts, int threads);
+
+// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
+void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
+                               double* thresholds);
+
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
 // fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
 // (batch, 7): pixels covered, area, centre x and y, semi axes, angle.

@@ -63,6 +63,8 @@ def kernel_calls() -> dict[str, Call]:
         "normalize": call(kernels.normalize, tall, light, 0 * light, one[:1]),
         "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
         "illumination_gain": call(kernels.illumination_gain, dimmed, light, 0 * light, 8),
+        "histogram": call(kernels.histogram, tall, covered, None, 256),
+        "otsu_threshold": call(kernels.otsu_threshold, torch.arange(512).reshape(2, 256), -1.0, 255.0),
         "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
         "mean_response": call(kernels.mean_response, tall),
         "halve": call(kernels.halve, tall),

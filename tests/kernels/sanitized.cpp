@@ -65,6 +65,15 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             fingerflow_apparent_contact(&regions, threads);
         }
 
+    std::vector<std::int64_t> counts(static_cast<std::size_t>(batch << 16));
+    std::int64_t wanted = 0, inside = 0, all = 0;
+    for (unsigned char pixel : mask) wanted += pixel != 0;
+    fingerflow_histogram(&of_eight, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads);
+    for (std::int64_t bin = 0; bin < batch * 256; ++bin) inside += counts[static_cast<std::size_t>(bin)];
+    fingerflow_histogram(&of_sixteen, nullptr, 0, 0, 0, nullptr, 1 << 16, counts.data(), threads);
+    for (std::int64_t bin : counts) all += bin;
+    expect(inside == wanted && all == count, "histograms count every pixel inside");
+
     const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
     for (int window : {1, 7, 15}) {
         std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));

@@ -48,4 +48,4 @@ def test_every_request_of_every_kernel_refused(tmp_path: Path) -> None:
         assert "fewer threads" in outcomes[f"flow_{name}"], name
     # Those that ask for nothing but threads: their results and sums lie in what Python gives them.
     without = {name for name, words in outcomes.items() if "MemoryError" not in words}
-    assert without <= {"covered"}
+    assert without <= {"covered", "otsu_threshold"}

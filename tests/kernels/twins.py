@@ -460,6 +460,8 @@ AREA = {"known": (0.0, 3 / 800), "std": (2e-2, 1e-6)}
 TWINS = {
     "median_filter": Twin(medians),
     "normalize_illumination": Twin(quotients),
+    "histogram": Twin(histograms),
+    "otsu_threshold": Twin(thresholds),
     "apparent_contact": Twin(regions, (2e-5, 2e-3), REGION),
     "real_contact_mask": Twin(contact_masks),
     "illumination_gain": Twin(gains, (1e-5, 0.0)),

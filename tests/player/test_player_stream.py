@@ -279,7 +279,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
 
 def test_a_scene_may_key_by_number_and_limit_the_region(stream: Stream) -> None:
     text = stream.scene.read_text()
-    stream.scene.write_text(f"{text}[stream]\nrekey_frames = 3\nregion = {{rows = [0, 32], columns = [0, 60]}}\n")
+    stream.scene.write_text(f"{text}[stream]\nupdate_frames = 3\nregion = {{rows = [0, 32], columns = [0, 60]}}\n")
     ended = stream.run(*stream.frames(frame() for _ in range(8)), "--policy", "every")
     np.testing.assert_array_equal(ended.results.records["key_frame"], [0, 0, 0, 0, 3, 3, 3, 6])
     assert [event["points"] for event in ended.results.events] == [3, 3, 3]

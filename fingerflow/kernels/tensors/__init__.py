@@ -24,13 +24,16 @@ def _dtypes(kinds: Iterable[str]) -> tuple[torch.dtype, ...]:
 
 FRAME_KINDS = _dtypes(checks.FRAME_KINDS)
 CELLS = contact.CELLS
+COUNTED_DTYPES = _dtypes(contact.COUNTED_LEVELS)
 LARGEST_MAJORITY = contact.LARGEST_MAJORITY
 LARGEST_MEDIAN = contact.LARGEST_MEDIAN
 MEDIAN_DTYPES = _dtypes(contact.MEDIAN_KINDS)
 apparent_contact = torch_op()(contact.apparent_contact)
+histogram = torch_op()(contact.histogram)
 illumination_gain = torch_op()(contact.illumination_gain)
 median = torch_op()(contact.median)
 normalize = torch_op()(contact.normalize)
+otsu_threshold = torch_op()(contact.otsu_threshold)
 real_contact_mask = torch_op()(contact.real_contact_mask)
 correct_points = torch_op()(deformation.correct_points)
 area_medians = torch_op()(fields.area_medians)

@@ -1,13 +1,16 @@
 """Otsu's threshold (1979) from a histogram."""
 
+import functools
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.checks import check_frames
 
 _BINS = 256
+_MOST_COMPILED_BINS = 1 << 16
 
 
 class Classes(NamedTuple):
@@ -47,6 +50,10 @@ def histogram(
         ValueError: no `value_range` for a dtype other than uint8, or one whose high is not above its low.
     """
     low, high = _range(frames, value_range)
+    if frames.dtype in kernels.COUNTED_DTYPES and bins <= _MOST_COMPILED_BINS and kernels.serve(frames, mask):
+        own = frames.dtype == torch.uint8 and (low, high, bins) == (-1, 255, 256)
+        bin_of_level = None if own else _bin_of_level(frames.dtype, bins, low, high)
+        return kernels.histogram(frames, None if mask is None else mask.expand(frames.shape), bin_of_level, bins)
     index = _bin_index(frames, bins, low, high)
     if mask is not None:
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
@@ -77,6 +84,8 @@ def otsu_threshold(
     """
     low, high = _range(frames, value_range)
     counts = histogram(frames, mask, _BINS, (low, high))
+    if kernels.serve(counts):
+        return kernels.otsu_threshold(counts, low, high)
     counts = counts.double()
     level = torch.arange(256, dtype=torch.float64, device=frames.device)
     # With n pixels of sum s up to a level, and n_all of sum s_all, the variance between the classes is
@@ -127,6 +136,13 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
     if not low < high:
         raise ValueError(f"value_range {value_range}: high must be above low")
     return float(low), float(high)
+
+
+@functools.lru_cache(8)
+def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
+    """Return the bin of each level of an unsigned integer dtype, as uint16."""
+    levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32, device="cpu")
+    return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:

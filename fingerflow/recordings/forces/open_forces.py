@@ -22,9 +22,9 @@ READER_OF = {
     ".txt": "delimited_text",
     ".tsv": "delimited_text",
     ".lvm": "delimited_text",
-    ".h5": "hdf5",
-    ".hdf5": "hdf5",
-    ".mat": "matlab",
+    ".h5": "hdf5_forces",
+    ".hdf5": "hdf5_forces",
+    ".mat": "matlab_forces",
     ".tdms": "tdms",
 }
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
@@ -182,7 +182,7 @@ def _read_table(location: Path) -> ForceTable:
             f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
             f"{', '.join(READER_OF)}"
         )
-    with reading(location, f"forces ({reader})"):
+    with reading(location, f"forces ({reader.removesuffix('_forces')})"):
         table: ForceTable = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:
         raise FingerflowError(f"{location}: has no column of numbers")
