@@ -64,7 +64,7 @@ class SensorPreviewer(Previewer):
 
     def chosen(self) -> Chosen:
         """Raise FingerflowError: a soft sensor has markers, all of which are followed, and no seeded points."""
-        raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are chosen")
+        raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
         """Return a contact stage of these frames only, with their markers followed."""

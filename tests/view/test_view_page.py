@@ -198,7 +198,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
             late.append(partial(route.fulfill, response=route.fetch()))
 
     with opened(browser, press / "scene.toml") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         page.route("**/api/edit", hold, times=1)
         with page.expect_request("**/api/edit"):
             fill(page, "tracking.points", "50")
@@ -219,7 +219,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
 def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, press: Path) -> None:
     """As where the computer slept: it is said, the field shows what was set, and nothing is lost."""
     with opened(browser, press / "scene.toml", refused="net::ERR_FAILED") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         page.route("**/api/edit", lambda route: route.abort(), times=1)
         fill(page, "tracking.points", "50")
         page.wait_for_selector("#error:not([hidden])")
@@ -236,7 +236,7 @@ def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> 
     """By a write that sends it too; what else was set is set, and written when that is asked again."""
     late: list[Any] = []
     with opened(browser, press / "scene.toml", refused="422 (") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         before = page.input_value('[aria-label="contact.median_px"]')
         # One route for the whole test: when the last of several is used up, the browser lets waiting requests pass.
         answers = [late.append, lambda route: route.continue_(post_data=_spoiled(route.request))]

@@ -44,7 +44,7 @@ def show_frame(page: Any, frame: int) -> None:
 def settled(page: Any) -> None:
     """Until contact, points and forces of a complete scene are there."""
     page.wait_for_selector("#picture[data-mask=true]")
-    page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+    page.wait_for_selector("#legend:has-text('points, seeded in frame')")
     page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
 
 

@@ -94,7 +94,7 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
     if not len(some):
         return []
     return [
-        f"points were followed to where their window differs from that in which they were chosen, in {len(some)} "
+        f"points were followed to where their window differs from that in which they were seeded, in {len(some)} "
         f"frames, the first is {some[0] + first_frame}, up to {np.max(share[some]):.1%} of them: their positions are "
         f"NaN there (status window_differs)"
     ]

@@ -226,14 +226,14 @@ class TrackingStage(Stage):
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
         if points + more == MOST_SEEDED * self._settings.points:
-            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been chosen"
+            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
         try:
             self.results.check_room(size_of_results(given, len(self.trial), more))
         except NoRoomError as error:
             why, more = str(error), 0
         if why:
             self._full = True
-            self.warnings.append(f"no more points are chosen where skin comes into contact: {why}")
+            self.warnings.append(f"no more points are seeded where skin comes into contact: {why}")
         if more:
             self.results.grow("point", points + more, {"status": TrackStatus.NOT_SEEDED_YET})
         return more > 0
