@@ -1,12 +1,10 @@
 """The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
 
-import math
 import warnings
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import (
@@ -21,7 +19,8 @@ from fingerflow.models.observer import (
     read_trials,
     spearman,
 )
-from fingerflow.report.trial_metrics import METRICS
+from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.files import MEASURED
 
@@ -100,9 +99,10 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
     }
     if sample.answered:
         found["by_answer"] = {name: one_way_anova(values, trials.answer) for name, values in trials.metrics.items()}
-        found["shares"] = {name: spearman(*_dots(trials, values)) for name, values in trials.metrics.items()}
+        found["shares"] = {name: spearman(*dots_of(trials, values)[:2]) for name, values in trials.metrics.items()}
         found["observer"] = _observed(trials, resamples, seed)
-    return {name: _plain(value) for name, value in found.items()}
+    plain: dict[str, Any] = json_value(found)
+    return plain
 
 
 def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
@@ -126,17 +126,6 @@ def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
-def _dots(trials: Trials, values: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    medians, shares = [], []
-    for participant in np.unique(trials.participant):
-        for condition in np.unique(trials.condition):
-            own = (trials.participant == participant) & (trials.condition == condition) & np.isfinite(values)
-            if own.any():
-                medians.append(float(np.median(values[own])))
-                shares.append(float(trials.answer[own].mean()))
-    return medians, shares
-
-
 def _of_force_rate(trials: Trials) -> Any:
     if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
         return {"reason": "needs the rate of the force and conditions that are numbers"}
@@ -155,31 +144,6 @@ def _of_force_rate(trials: Trials) -> Any:
 def _groups(trials: Trials, resamples: int, seed: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
-    names = np.unique(trials.participant)
-    medians = [_median(trials.metrics[_FIRST][trials.participant == name]) for name in names]
-    divergence = NUMBERS[_FIRST]
-    shown = divergence.shown_values(np.array(medians))
-    groups = participant_groups(shown, resamples, seed)
-    return {
-        **asdict(groups), "names": names.tolist(), "medians": shown.tolist(), "unit": divergence.shown_unit.name
-    }  # fmt: skip
-
-
-def _median(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to types that JSON can represent; NaN becomes None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    names, medians = participant_medians(trials, _FIRST)
+    groups = participant_groups(medians, resamples, seed)
+    return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

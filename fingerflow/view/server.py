@@ -15,11 +15,11 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.opening import open_path
-from fingerflow.view.packing import plain
 from fingerflow.view.session import Session
 
 _HOST = "127.0.0.1"
@@ -174,7 +174,7 @@ def _response(answer: Any) -> Response:
         return Response(answer, media_type=_BINARY)
     if isinstance(answer, str):
         return Response(answer, media_type=_CSV)
-    return JSONResponse(plain(answer))
+    return JSONResponse(json_value(answer))
 
 
 async def _put_right(_: Request, error: Exception) -> Response:

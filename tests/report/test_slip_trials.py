@@ -65,11 +65,8 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
             outlined = (np.abs(picture.astype(int) - STUCK).max(-1) < 40).nonzero()
             assert (len(outlined[0]) > 100) == bool(size)
             if size:
-                region, matrix = (
-                    result["stuck_region"],
-                    np.linalg.inv([*scene.calibration.topography_to_contact, [0, 0, 1]]),
-                )
-                outline = stuck_outline(region[frame].values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
+                matrix = np.linalg.inv([*scene.calibration.topography_to_contact, [0, 0, 1]])
+                outline = stuck_outline(result.isel(frame=frame))
                 assert outline is not None
                 drawn = outline / result.attrs["mm_per_px"] @ matrix[:2, :2].T + matrix[:2, 2]
                 left = outlined[1] < picture.shape[1] // 2

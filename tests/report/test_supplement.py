@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fingerflow import cli
-from fingerflow.report.press_field import press_field
+from fingerflow.report.press_field import draw_median_curl, press_field
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, simulate_presses
 from fingerflow.report.supplement import FIGURES, Sources, sources
 from fingerflow.report.supplement.sheet import Sheet
@@ -133,6 +134,8 @@ def test_the_field_of_the_simulated_press_is_its_truth() -> None:
     assert found.force[-1] == pytest.approx(5.0)
     assert np.isnan(found.median_curl[0])
     assert len(found.curl) == len(found.reference) > 100
+    (line,) = draw_median_curl(Figure().subplots(), found).lines
+    np.testing.assert_array_equal(line.get_data(), (found.force, 1e3 * found.median_curl))
 
 
 @pytest.mark.parametrize(
