@@ -104,7 +104,8 @@ def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:
 def _no_room_for_the_last(jobs: list[worker.Job]) -> list[worker.Outcome]:
     if len(jobs) == 1:
         return worker.run_trials(jobs)
-    return [*worker.run_trials(jobs[:-1]), worker.Outcome(jobs[-1].entry.name, FAILED, "no memory", passing=True)]
+    (last,) = jobs[-1].manifest.trials
+    return [*worker.run_trials(jobs[:-1]), worker.Outcome(last.name, FAILED, "no memory", passing=True)]
 
 
 @pytest.mark.parametrize("act", [_killed_by_a_group, _no_room_for_the_last])
@@ -285,7 +286,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        (outcome,) = worker.run_trials([worker.Job(replace(study, trials=(entry,)), entry, "everything", codes, 1)])
+        (outcome,) = worker.run_trials([worker.Job(replace(study, trials=(entry,)), "everything", codes, 1)])
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 
