@@ -7,7 +7,7 @@ import pytest
 
 from fingerflow import load_scene, process
 from fingerflow.synthetic import Press, write_recording
-from fingerflow.view.outputs import all_of_default_stages
+from fingerflow.view.preview import all_of_default_stages
 
 PRESS = Press(
     n_frames=12,
