@@ -1,13 +1,13 @@
 """`fingerflow slip`: a line a trial, a count by both rules, figures, and errors that stop nothing."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow import cli, load_scene, process
+from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial, simulate_trial
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
@@ -16,23 +16,16 @@ from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, writ
 from fingerflow.report.views import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
 
+Command = Callable[..., int]
+Printed = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.long
 
 
-def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of the command line, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
 def test_two_trials_and_one_that_is_not_there(
-    slip_trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: Command, slip_trials: Path, tmp_path: Path, capsys: Printed
 ) -> None:
     scenes = [str(slip_trials / name / "scene.toml") for name in ("abrupt", "nothing", "fading")]
-    assert main_with(monkeypatch, "slip", *scenes, "--figure", str(tmp_path / "figures")) == 0
+    assert command("slip", *scenes, "--figure", tmp_path / "figures") == 0
     abrupt, nothing, fading, count, figures = capsys.readouterr().out.splitlines()
     assert abrupt.startswith(f"{scenes[0]}: vanishes abruptly (as printed: vanishes abruptly; ")
     assert "collapse" in abrupt
@@ -77,10 +70,8 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
         assert len(video) == 120
 
 
-def test_nothing_that_can_be_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main_with(monkeypatch, "slip", str(tmp_path / "a.toml"), str(tmp_path / "b.toml")) == 2
+def test_nothing_that_can_be_read(command: Command, tmp_path: Path, capsys: Printed) -> None:
+    assert command("slip", tmp_path / "a.toml", tmp_path / "b.toml") == 2
     out = capsys.readouterr().out
     assert out.count("not judged: ") == 3
     assert "0 trials" in out
