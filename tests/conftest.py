@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, settings
 from bench.chromium import launch
 from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
-from fingerflow.synthetic import PartialSlip, write_recording
+from fingerflow.synthetic import PartialSlip
 from fingerflow.synthetic.marker_gel import write_gel_recording
-from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
+from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials, write_small
 
 #: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
 #: before the others that play it, which would wait for it.
@@ -109,13 +109,7 @@ def slip_trials(shared_folder: Path) -> Path:
                 static_friction=friction[0],
                 kinetic_friction=friction[1],
             )
-            write_recording(folder / name, trial)
-            scene = folder / name / "scene.toml"
-            text = scene.read_text(encoding="utf-8")
-            for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
-                assert old in text
-                text = text.replace(old, new)
-            scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
+            write_small(folder / name, trial)
 
     return _made_once(shared_folder / "slip", write)
 

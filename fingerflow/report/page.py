@@ -3,7 +3,7 @@
 import base64
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -62,16 +62,13 @@ class Section:
     first: int = 0
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Figures:
-    """Figures of a page, each with a unique name."""
+    """Figures of the page of a result."""
 
     result: xr.Dataset
-    names: set[str] = field(default_factory=set)
 
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
-        assert name not in self.names
-        self.names.add(name)
         figure = axes.get_figure(root=True)
         assert figure is not None
         # Before curves_of, as it settles the layout.

@@ -1,7 +1,7 @@
 """The figures of a result show the numbers of that result, and of no other."""
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,38 +16,17 @@ from fingerflow import load_scene, plot, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.maps import principal
 from fingerflow.schema.scene import Scene
-from fingerflow.synthetic import Press, write_recording
+from tests.small_trials import SMALL_PRESS, write_small
 
 SIZES = ((2.3, 1.9), (2.0, 1.6))  # semi-axes, mm: two fingers
 Trial = tuple[Scene, xr.Dataset]
 
 
-def pressed(folder: Path, semi_axes: tuple[float, float]) -> Trial:
-    write_recording(
-        folder,
-        Press(
-            n_frames=16,
-            frame_rate=16.0,
-            frames_before_trigger=1,
-            frame_shape=(192, 480),
-            finger=(3.2, 2.7),
-            semi_axes=semi_axes,
-        ),
-    )
-    path = folder / "scene.toml"
-    text = path.read_text(encoding="utf-8")
-    for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
-        assert old in text
-        text = text.replace(old, new)
-    path.write_text(text[: text.index("[stream]")], encoding="utf-8")
-    scene = load_scene(path)
-    return scene, process(scene)
-
-
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
     folder = tmp_path_factory.mktemp("presses")
-    return [pressed(folder / str(number), axes) for number, axes in enumerate(SIZES)]
+    paths = (write_small(folder / f"{axes[0]}", replace(SMALL_PRESS, semi_axes=axes)) for axes in SIZES)
+    return [(scene, process(scene)) for scene in map(load_scene, paths)]
 
 
 def of_time(force: np.ndarray[Any, Any]) -> xr.Dataset:

@@ -28,6 +28,7 @@ from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
+from tests.small_trials import edit
 from tests.study.blows import (
     damage,
     end,
@@ -56,8 +57,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     assert plan_run(study) == []
     assert _run(study, scheduler) == {}
     before = table_of(study)
-    text = (lab / "study.toml").read_text(encoding="utf-8")
-    (lab / "study.toml").write_text(text.replace("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"), encoding="utf-8")
+    edit(lab / "study.toml", ("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"))
     changed = load_manifest(lab)
     assert {one.redo for one in plan_run(changed)} == {"changed"}
     _run(changed, scheduler)
