@@ -122,25 +122,17 @@ def test_what_a_group_does_not_bring_to_an_end_is_run_one_by_one(
     assert made.made["together"] == 1
 
 
-def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> None:
+def test_a_row_has_where_it_comes_from_and_reads_what_it_needs(study: Manifest, scheduler: str) -> None:
     _run(study, scheduler, only="01_0_1")
     row = read_row(study.results / "01_0_1")
     assert row is not None
     assert row.keys is not None
+    assert row.result is not None
+    path = study.results / "01_0_1" / row.result
+    assert measure(read_own(path, READ, DESCRIBED)) == measure(load_result(path)) == (row.row, row.curves)
     assert set(row.keys.inputs) == {"recording.frames", "background.frames", "background.dark", "forces.file"}
     assert {"started", "seconds", "cpu_seconds", "versions", "machine", "code", "seed", "threads"} <= set(row.made)
     assert row.made["versions"]["torch"]
-
-
-def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) -> None:
-    _run(study, scheduler, only="01_0_1")
-    made = read_row(study.results / "01_0_1")
-    assert made is not None
-    assert made.result is not None
-    path = study.results / "01_0_1" / made.result
-    row, curves = measure(read_own(path, READ, DESCRIBED))
-    assert (row, curves) == measure(load_result(path))
-    assert (row, curves) == (made.row, made.curves)
 
 
 def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
