@@ -67,7 +67,7 @@ def sample_of(frame: Any) -> Sample:
     return Sample(read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum())))
 
 
-def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
+def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     """Compute all statistics as plain numbers, for `statistics.json` and the page.
 
     - `counted`: numbers of trials, left out by each rule and used.
@@ -83,7 +83,7 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
 
     Args:
         sample: of `sample_of`.
-        resamples, seed: of intervals and tests.
+        resamples: of intervals and tests.
     """
     trials = sample.trials
     found: dict[str, Any] = {
@@ -95,23 +95,21 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
             if name in trials.metrics and _FIRST in trials.metrics
         },
         "force_rate": _of_force_rate(trials),
-        "groups": _groups(trials, resamples, seed),
+        "groups": _groups(trials, resamples),
     }
     if sample.answered:
         found["by_answer"] = {name: one_way_anova(values, trials.answer) for name, values in trials.metrics.items()}
         found["shares"] = {name: spearman(*dots_of(trials, values)[:2]) for name, values in trials.metrics.items()}
-        found["observer"] = _observed(trials, resamples, seed)
+        found["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(found)
     return plain
 
 
-def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
-    without = trials
-    if "global_displacement" in trials.metrics:
-        without = leave_out_moved(trials)
+def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
+    without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     found = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
-    for name, summary in observe(without, resamples=resamples, seed=seed).items():
+    for name, summary in observe(without, resamples=resamples).items():
         found[name] = {
             "d_prime": summary.d_prime,
             "auc": summary.auc,
@@ -121,7 +119,7 @@ def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
         }
         if first is not None and name != _FIRST:
             found[name]["beside_divergence"] = compare_auc(
-                without.split(name), first, participants=without.participants(), resamples=resamples, seed=seed
+                without.split(name), first, participants=without.participants(), resamples=resamples
             )
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
@@ -141,9 +139,9 @@ def _of_force_rate(trials: Trials) -> Any:
         return {"reason": f"the model cannot be fitted: {error}"}
 
 
-def _groups(trials: Trials, resamples: int, seed: int) -> Any:
+def _groups(trials: Trials, resamples: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
     names, medians = participant_medians(trials, _FIRST)
-    groups = participant_groups(medians, resamples, seed)
+    groups = participant_groups(medians, resamples)
     return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

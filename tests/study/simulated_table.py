@@ -51,7 +51,7 @@ class ObserverTruth:
     share_correct: float
 
 
-def truth_of(design: TableDesign, hits: float = 0.75) -> ObserverTruth:
+def truth_of(design: TableDesign) -> ObserverTruth:
     """Compute the true statistics by integration.
 
     f(x) is the density of the divergence over all trials, a mixture of Gaussians, and h(x) = Phi((x - criterion) /
@@ -74,7 +74,7 @@ def truth_of(design: TableDesign, hits: float = 0.75) -> ObserverTruth:
     return ObserverTruth(
         d_prime=abs(mean_1 - mean_0) / np.sqrt((variance_1 + variance_0) / 2),
         auc=float(np.trapezoid(correct[1:] * below_0, x[1:])),
-        criterion=float(np.interp(1 - hits, below_1, x[1:])),
+        criterion=float(np.interp(0.25, below_1, x[1:])),
         share_correct=share,
     )
 
