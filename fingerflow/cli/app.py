@@ -8,6 +8,7 @@ import typer
 app = typer.Typer(
     help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True
 )
+INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")
@@ -21,9 +22,14 @@ def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options:
     return process(scene, outputs, progress=not quiet, **options)
 
 
-def print_json(facts: Any) -> None:
-    """For machines."""
-    typer.echo(json.dumps(facts, indent=1))
+def tell(facts: Any, text: str, as_json: bool) -> None:
+    """Print facts as JSON for machines, or else text."""
+    typer.echo(json.dumps(facts, indent=1) if as_json else text)
+
+
+def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
+    """Print facts as JSON for machines, or else one a line."""
+    tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 
 def _tell_version(wanted: bool) -> None:

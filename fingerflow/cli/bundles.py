@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, app, print_json
+from fingerflow.cli.app import AsJson, app, tell
 from fingerflow.errors import FingerflowError
 
 if TYPE_CHECKING:
@@ -23,10 +23,8 @@ def export(
     from fingerflow.export import as_text, export_bundle
 
     rows = export_bundle(recipe, bundle, progress=not as_json)
-    if as_json:
-        print_json({"bundle": str(bundle), "differences": [row._asdict() for row in rows]})
-    else:
-        typer.echo(f"{as_text(rows)}\n\nbundle: {bundle}")
+    facts = {"bundle": str(bundle), "differences": [row._asdict() for row in rows]}
+    tell(facts, f"{as_text(rows)}\n\nbundle: {bundle}", as_json)
 
 
 @app.command(

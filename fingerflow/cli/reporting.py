@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
+from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -120,15 +120,10 @@ def figures(
         trials=None if trials is None else load_trials(trials),
     )
     written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
-    if as_json:
-        print_json(
-            [
-                {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)}
-                for one in written
-            ]
-        )
-    else:
-        typer.echo("\n".join(map(str, written)))
+    facts = [
+        {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)} for one in written
+    ]
+    tell(facts, "\n".join(map(str, written)), as_json)
 
 
 def _pairs(option: str, given: list[str] | None) -> dict[str, str]:

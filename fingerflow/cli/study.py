@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import app
+from fingerflow.cli.app import INTERRUPTED, app
 from fingerflow.errors import FingerflowError
 
 study = typer.Typer(
@@ -30,7 +30,6 @@ Together = Annotated[
     ),
 ]
 Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
-_INTERRUPTED = 130
 
 
 @study.command()
@@ -78,7 +77,7 @@ def run(
     typer.echo(str(summary))
     typer.echo(f"table: {write_tables(loaded).trials}")
     if summary.interrupted:
-        raise typer.Exit(_INTERRUPTED)
+        raise typer.Exit(INTERRUPTED)
 
 
 @study.command()

@@ -62,10 +62,10 @@ def varies(result: xr.Dataset, force: str) -> bool:
     return span > max(_LEAST_CHANGE * float(np.abs(known).max()), _ABOVE_NOISE * _noise(result, force))
 
 
-def is_monotonic(result: xr.Dataset, force: str = "normal_force") -> bool:
-    """Return whether a varying force only rises or only falls, apart from 3 % of its range or three times its noise."""
-    known = _smoothed(result, force)
-    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, force))
+def is_monotonic(result: xr.Dataset) -> bool:
+    """Return whether a varying normal force only rises or falls, apart from 3 % of its range or 3 times its noise."""
+    known = _smoothed(result, "normal_force")
+    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, "normal_force"))
     falls = float((np.maximum.accumulate(known) - known).max())
     rises = float((known - np.minimum.accumulate(known)).max())
     return min(falls, rises) <= least

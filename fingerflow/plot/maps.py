@@ -19,8 +19,7 @@ from fingerflow.schema.variables import VARIABLES
 Values = NDArray[np.float64]
 _SHOWN = 0.98  # quantile of the values that limits a colour scale,
 _OF_MEDIAN = 3.0  # at most this times their median, as torn triangles may be more than 2 %
-_ARROWS = 220  # most arrows drawn
-_DIRECTIONS = 260
+_ARROWS, _DIRECTIONS = 220, 260  # about so many are drawn
 _MARGIN_MM = 0.3
 
 
@@ -31,16 +30,19 @@ class Quantity:
     Attributes:
         title: of the map.
         variable: from which it is computed; it states the unit.
-        compute: function from a frame to the values in the unit of the data set.
-        of_triangles: values are those of triangles, else of points.
+        compute: function from a frame to the values in the unit of the data set; None for the variable itself.
         signed: the colour scale is symmetric about 0.
     """
 
     title: str
     variable: str
-    compute: Callable[[xr.Dataset], Values]
-    of_triangles: bool
-    signed: bool
+    compute: Callable[[xr.Dataset], Values] | None = None
+    signed: bool = True
+
+    @property
+    def of_triangles(self) -> bool:
+        """Return whether values are those of triangles, else of points."""
+        return "triangle" in VARIABLES[self.variable].dims
 
     @property
     def unit(self) -> str:
@@ -49,11 +51,8 @@ class Quantity:
 
     def values(self, frame: xr.Dataset) -> Values:
         """Return the values of a frame in the unit of the map."""
-        return np.asarray(VARIABLES[self.variable].shown_values(self.compute(frame)), dtype=np.float64)
-
-
-def _component(k: int) -> Callable[[xr.Dataset], Values]:
-    return lambda frame: frame["strain"].values[:, k].astype(np.float64)
+        values = frame[self.variable].values if self.compute is None else self.compute(frame)
+        return np.asarray(VARIABLES[self.variable].shown_values(values), dtype=np.float64)
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
@@ -68,26 +67,18 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
 
 #: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
-    "divergence": Quantity("Divergence", "divergence", lambda frame: frame["divergence"].values, False, True),
-    "curl": Quantity("Curl", "curl", lambda frame: frame["curl"].values, False, True),
+    "divergence": Quantity("Divergence", "divergence"),
+    "curl": Quantity("Curl", "curl"),
     "displacement": Quantity(
-        "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False,
-        False,
+        "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False
     ),
-    "strain_energy_density": Quantity(
-        "Strain energy density", "strain_energy_density", lambda frame: frame["strain_energy_density"].values, True,
-        False,
-    ),
-    "major_strain": Quantity(
-        "Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0], True, True
-    ),
-    "minor_strain": Quantity(
-        "Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1], True, True
-    ),
-    "exx": Quantity("Strain exx", "strain", _component(0), True, True),
-    "eyy": Quantity("Strain eyy", "strain", _component(1), True, True),
-    "exy": Quantity("Strain exy", "strain", _component(2), True, True),
-}  # fmt: skip
+    "strain_energy_density": Quantity("Strain energy density", "strain_energy_density", signed=False),
+    "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
+    "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
+    "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),
+    "eyy": Quantity("Strain eyy", "strain", lambda frame: frame["strain"].values[:, 1].astype(np.float64)),
+    "exy": Quantity("Strain exy", "strain", lambda frame: frame["strain"].values[:, 2].astype(np.float64)),
+}
 
 
 def field_map(

@@ -72,6 +72,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         one = VARIABLES[variable]
         return f"{one.shown_values(value):z.{one.shown_unit.decimals}f} {one.shown_unit.name}"
 
+    rest = float(np.nanmedian(np.linalg.norm(found.parts["rest"], axis=1)))
     amounts = {
         "field": "",
         "constant": amount("displacement", float(np.hypot(*found.constant))),
@@ -79,7 +80,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         "curl": amount("curl", found.curl),
         "shear along axes": amount("shear", found.shear[0]),
         "shear along diagonals": amount("shear", found.shear[1]),
-        "rest": f"{amount('displacement', _middle_length(found.parts['rest']))} in the median",
+        "rest": f"{amount('displacement', rest)} in the median",
     }
     scale = _arrow_scale(found)
     grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
@@ -111,7 +112,3 @@ def _arrow_scale(found: Decomposition) -> float:
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))
     return float(f"{wide / 6 / long:.1g}") if long > 0 else 1.0
-
-
-def _middle_length(arrows: Values) -> float:
-    return float(np.nanmedian(np.linalg.norm(arrows, axis=1)))

@@ -28,13 +28,10 @@ def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) ->
 
 
 def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArray[np.uint8]]:
-    bar = tqdm(total=len(presses.time), desc="movie M3", unit="frame", disable=not progress, leave=False)
-    with bar:
-        for picture in movie_pictures(presses):
-            yield picture
-            bar.update()
-    for _ in range(_HELD):
+    shown = {"total": len(presses.time), "desc": "movie M3", "unit": "frame", "disable": not progress, "leave": False}
+    for picture in tqdm(movie_pictures(presses), **shown):
         yield picture
+    yield from [picture] * _HELD
 
 
 def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:

@@ -105,14 +105,8 @@ def trial_figure(trial: SlipTrial) -> Figure:
     left, middle, right = figure.subplots(1, 3)
     # The last frame of slow loading: later the stick region has almost vanished.
     frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-    position, region = np.asarray(result["position"]), result["stuck_region"]
-    draw_motion(
-        left,
-        position[0],
-        position[frame] - position[0],
-        contact_outline(result.isel(frame=frame)),
-        stuck_outline(region[frame].values, region.attrs.get("cell_mm", 1.0), region.attrs.get("first_cell_mm", 0.0)),
-    )
+    position, one = np.asarray(result["position"]), result.isel(frame=frame)
+    draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
     left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
     draw_trial(middle, area, load, verdict, trial.fit)
     draw_over_time(right, result["time"], area, verdict)

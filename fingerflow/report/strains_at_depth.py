@@ -53,10 +53,10 @@ def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -
     )
 
 
-def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float = HIGH) -> Sequence[Axes]:
-    """Draw figure S10 A: pressure (kPa) under the skin and the skin's shape (mm) as the force rises."""
+def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
+    """Draw figure S10 A: pressure (kPa) under the skin and its shape (mm) as the force rises, at the high friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
-    k = presses.index(friction)
+    k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
     for frame, colour in zip(frames, colormaps["viridis"](np.linspace(0.9, 0, _SHAPES)), strict=True):
         x, z = 1e3 * presses.chain.position[frame, k].T.numpy()
@@ -64,7 +64,7 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float =
         axes[0].plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), color=colour, linewidth=1.2, label=name)
         axes[1].plot(x, z, color=colour, linewidth=1.2)
     axes[1].axhline(0, color=GREY, linewidth=0.8)
-    axes[0].set(ylabel="pressure (kPa)", title=f"friction {friction:g}")
+    axes[0].set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
     axes[1].set(xlabel="along the plate (mm)", ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
     for one in axes:
         finished(one)

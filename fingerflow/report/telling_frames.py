@@ -72,27 +72,18 @@ def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
     loaded = known & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
     if not loaded.any():
         return []
-    pulled = np.where(loaded, ratio, -np.inf)
-    top = int(np.argmax(pulled))
-    half = int(np.argmax(pulled >= pulled[top] / 2))
-    last = int(np.flatnonzero(loaded)[-1])
-    between = Telling((top + last) // 2, "sliding")
-    return [
-        Telling(top, "largest T/N"),
-        Telling(last, "last frame"),
-        Telling(half, "half of the largest T/N"),
-        *([between] if known[between.frame] else []),
-    ]
+    top, half = _largest_and_half(np.where(loaded, ratio, -np.inf), "T/N")
+    last = Telling(int(np.flatnonzero(loaded)[-1]), "last frame")
+    between = Telling((top.frame + last.frame) // 2, "sliding")
+    return [top, last, half, *([between] if known[between.frame] else [])]
 
 
 def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
-    length = np.linalg.norm(result["contact_displacement"].values, axis=1) if "contact_displacement" in result else None
     found = []
-    if length is not None and np.isfinite(length).any():
-        length = np.where(known, np.nan_to_num(length), 0.0)
-        top = int(np.argmax(length))
-        found.append(Telling(top, "largest displacement"))
-        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of the largest displacement"))
+    if "contact_displacement" in result:
+        length = np.linalg.norm(result["contact_displacement"].values, axis=1)
+        if np.isfinite(length).any():
+            found = _largest_and_half(np.where(known, np.nan_to_num(length), 0.0), "displacement")
     slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
     if len(slips):
         found.append(Telling(int(slips[0]), "first gross slip"))
@@ -100,18 +91,20 @@ def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
-    if "gross_contact_area" not in result:
-        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
-    area = np.where(known, np.nan_to_num(result["gross_contact_area"].values), 0.0)
-    top = int(np.argmax(area))
-    if not area[top] > 0:
-        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(known))
+    area = np.where(known, np.nan_to_num(area), 0.0)
     touching = np.flatnonzero(area > 0)
-    return [
-        Telling(top, "largest contact"),
-        Telling(int(touching[-1]), "last frame in contact"),
-        Telling(int(np.argmax(area >= area[top] / 2)), "half of the largest contact"),
-    ]
+    if not len(touching):
+        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    top, half = _largest_and_half(area, "contact")
+    return [top, Telling(int(touching[-1]), "last frame in contact"), half]
+
+
+def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
+    """Return the frame of the largest value, and the first one with half of it."""
+    top = int(np.argmax(values))
+    half = int(np.argmax(values >= values[top] / 2))
+    return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:

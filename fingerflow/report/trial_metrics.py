@@ -1,4 +1,4 @@
-"""Metrics of many trials, as in figures S1, S5 and S7 to S9 of Willemet et al. 2021, drawn into given axes.
+"""Metrics of many trials, as in figures S1, S5 and S7 to S9 and S13 of Willemet et al. 2021, drawn into given axes.
 
 An answer is correct if the vibrating comparison was felt as more slippery than the reference, which does not vibrate.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
@@ -20,8 +21,6 @@ ANSWERED = 'p(comparison is "more slippery")'
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
-_NORMAL_95 = 1.959964
-
 
 #: Metrics that figures and statistics use, columns of the table of trials.
 METRICS = (
@@ -49,11 +48,6 @@ def label_of(metric: str) -> str:
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
 
-def shown_values(metric: str, values: Values) -> Values:
-    """Return values of a metric, or of its difference, in the unit of its label."""
-    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(values))
-
-
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figures S5 B, C, D and H: histogram of a metric with its mean and standard deviation."""
     values = _shown(trials, metric)
@@ -79,7 +73,8 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
         middles = np.array([np.median(values[known][group]) for group in groups])
-        limits = np.array([_wilson(answers[group]) for group in groups]).T
+        counts = ((int(answers[group].sum()), int(group.sum())) for group in groups)
+        limits = np.array([stats.binomtest(*count).proportion_ci(method="wilson") for count in counts]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     test = one_way_anova(values, trials.answer)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
@@ -150,19 +145,12 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     dots.
     """
     values = _shown(trials, metric)
-    conditions, place = _conditions(trials)
+    conditions, _ = _conditions(trials)
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
-    medians: list[float] = []
-    shares: list[float] = []
+    medians, shares, condition = dots_of(trials, values)
     for index, colour in enumerate(colours):
-        x, y = [], []
-        for participant in np.unique(trials.participant):
-            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
-            if own.any():
-                x.append(float(np.median(values[own])))
-                y.append(float(trials.answer[own].mean()))
-        axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
-        medians, shares = medians + x, shares + y
+        own = condition == index
+        axes.plot(medians[own], shares[own], "o", color=colour, markersize=4, label=conditions[index])
     found = spearman(medians, shares)
     axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
@@ -172,11 +160,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figures S8 G and S9 D: one metric against another, one colour a participant, least-squares line and R²."""
-    x, y = _shown(trials, first), _shown(trials, second)
-    names = np.unique(trials.participant)
-    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
-        own = trials.participant == name
-        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+    x, y = _draw_by_participant(axes, trials, first, second)
     found = pearson(x, y)
     if np.isfinite(found.value):
         both = np.isfinite(x) & np.isfinite(y)
@@ -186,8 +170,41 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
         name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
         axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
     axes.set(xlabel=label_of(first), ylabel=label_of(second))
-    axes.set_title(f"{names.size} participants, {found.trials} trials", fontsize="medium")
+    axes.set_title(f"{np.unique(trials.participant).size} participants, {found.trials} trials", fontsize="medium")
     return finished(axes)
+
+
+def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
+    """Draw figure S13 C: median curl against median divergence of each trial, one colour a participant."""
+    found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"))
+    low, high = found.interval
+    axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
+    axes.set_title(f"r = {found.value:.2f} ({low:.2f} to {high:.2f}), {found.trials} trials", fontsize="medium")
+    return finished(axes)
+
+
+def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp]]:
+    """Return median, share of answers and index of the condition of each participant in each condition.
+
+    Pairs without a known value are left out.
+    """
+    conditions, place = np.unique(trials.condition, return_inverse=True)
+    dots = []
+    for participant in np.unique(trials.participant):
+        for index in range(len(conditions)):
+            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
+            if own.any():
+                dots.append((float(np.median(values[own])), float(trials.answer[own].mean()), index))
+    medians, shares, condition = zip(*dots, strict=True) if dots else ((), (), ())
+    return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp)
+
+
+def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
+    """Return the names of the participants and the median of a metric of each, as it is shown; NaN where unknown."""
+    names = np.unique(trials.participant)
+    values = _shown(trials, metric)
+    own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
+    return names, np.array([np.median(known) if known.size else np.nan for known in own])
 
 
 def finished_beside(axes: Axes, title: str) -> Axes:
@@ -200,10 +217,20 @@ def finished_beside(axes: Axes, title: str) -> Axes:
     return axes
 
 
+def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
+    """Draw a metric against another one, one colour a participant; return the values of both, as they are shown."""
+    x, y = _shown(trials, first), _shown(trials, second)
+    names = np.unique(trials.participant)
+    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
+        own = trials.participant == name
+        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+    return x, y
+
+
 def _shown(trials: Trials, metric: str) -> Values:
     if metric not in trials.metrics:
         raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
-    return shown_values(metric, trials.metrics[metric])
+    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(trials.metrics[metric]))
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
@@ -220,14 +247,6 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
         if known.size and np.median(known) > 0:
             scaled[own] = values[own] / np.median(known)
     return scaled
-
-
-def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1."""
-    n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))
-    return middle - reach, middle + reach
 
 
 def _p(value: float) -> str:

@@ -32,27 +32,17 @@ class TribometerTrace:
     position: Tensor  # (T,) m of the finger, growing to the right
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
-    def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m).
-
-        The default edges are those of six equal bins over the range of amplitudes.
+    def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
+        """Return friction coefficients of each rising half period, in six equal bins over the range of amplitudes.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
         """
         low, high = float(self.amplitude.min()), float(self.amplitude.max())
-        if edges is None:
-            edges = torch.linspace(low, np.nextafter(high, np.inf), BINS + 1, dtype=torch.float64)
+        edges = torch.linspace(low, np.nextafter(high, np.inf), BINS + 1, dtype=torch.float64)
+        signals = (self.time, self.normal, self.tangential, self.position, self.amplitude)
         try:
-            return friction_epochs(
-                self.time,
-                self.normal,
-                self.tangential,
-                self.position,
-                self.amplitude,
-                edges,
-                modulation_hz=modulation_hz,
-            )
+            return friction_epochs(*signals, edges, modulation_hz=modulation_hz)
         except ValueError as error:
             raise FingerflowError(f"{self.path}: {error}") from None
 

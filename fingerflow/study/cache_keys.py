@@ -6,7 +6,7 @@ depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -16,6 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.reuse import code_version
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.schema.scene import Scene
+from fingerflow.study.dotted_keys import flattened
 
 _PARTS = ("result", "row")
 _ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that decide what is in a row
@@ -55,13 +56,9 @@ class Keys:
     row: str
     inputs: Mapping[str, InputFile]
 
-    def as_json(self) -> dict[str, Any]:
-        """Return a dictionary for `row.json`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Keys":
-        """Return the keys from the output of `as_json`; raises KeyError or TypeError for anything else."""
+        """Return the keys from those of `row.json`; raises KeyError or TypeError for anything else."""
         inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
         return cls(found["result"], found["row"], inputs)
 
@@ -84,10 +81,12 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     settings["stream"].pop("output", None)
     settings["calibration"].pop("file", None)
     paths = {str(path) for path in scene.files()[1:]}
-    named = dict(_named(settings, paths))
+    values = dict(flattened(settings))
+    named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
     inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
-    contents = {name: [one.size, one.digest] for name, one in inputs.items()}
-    result = digest_of(_without(settings, paths), contents, code_of("result"))
+    # Files count by their content, not by their names.
+    values |= {name: [one.size, one.digest] for name, one in inputs.items()}
+    result = digest_of(values, code_of("result"))
     return Keys(result, digest_of(result, code_of("row")), inputs)
 
 
@@ -124,23 +123,6 @@ def code_of(part: str) -> str:
     if part == "result":
         return code_version()
     return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
-
-
-def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the files among settings by their dotted keys."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _named(value, paths, f"{place}{name}.")
-        elif isinstance(value, str) and value in paths:
-            yield f"{place}{name}", value
-
-
-def _without(value: Any, paths: set[str]) -> Any:
-    """Return settings without file names; files count by their content."""
-    if isinstance(value, dict):
-        kept = {name: one for name, one in value.items() if not (isinstance(one, str) and one in paths)}
-        return {name: _without(one, paths) for name, one in kept.items()}
-    return value
 
 
 def _files_of(file: Path) -> list[Path]:

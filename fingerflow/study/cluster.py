@@ -67,7 +67,7 @@ def over_workers(
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
-            with _client(scheduler, many, threads_each(scheduler, many), act.__module__) as client:
+            with _client(scheduler, many, threads_each(scheduler, many)) as client:
                 for result in _go_through(client, act, of_round, of_error):
                     bar.update(trials_of(result))
                     yield result
@@ -161,11 +161,8 @@ class _Workers:
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> Iterator[Any]:
-    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped.
-
-    `loads` is the module that a worker on this computer has imported at its start.
-    """
+def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
+    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped."""
     try:
         import dask
         from distributed import Client, LocalCluster, Security
@@ -204,7 +201,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
-                    _load_once(loads)
+                    _load_once()
                     # A scheduler runs what it is sent: without a certificate, which only this process and its workers
                     # have, every user of this computer could run commands as the one who started the study.
                     security = Security.temporary()
@@ -233,13 +230,13 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 cluster.close(timeout=10)
 
 
-def _load_once(module: str) -> None:
-    """Make workers fork from one process that has imported this module: the import in each would take seconds."""
+def _load_once() -> None:
+    """Make workers fork from one process that has imported what they need: the imports in each would take seconds."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
     if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["fingerflow.study.preload", module])
+        context.set_forkserver_preload(["fingerflow.study.preload"])
 
 
 def _deployment(name: str) -> Callable[[], Any]:

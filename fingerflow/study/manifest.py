@@ -1,7 +1,7 @@
 """`study.toml`: the recordings of a study, their shared scene, and the data known about each trial."""
 
-import csv
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -14,6 +14,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.schema.trial_columns import OF_RESULTS
+from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
+from fingerflow.study.dotted_keys import nested
 
 #: Columns of a table of trials that the study reads; a column name with a dot is a key of the scene.
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
@@ -21,8 +23,6 @@ RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
 )  # fmt: skip
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
-_ANSWERS = {"1": True, "true": True, "0": False, "false": False}
-_NO_ANSWER = ("", "nan", "na")
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers")
 _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
@@ -124,24 +124,9 @@ def load_manifest(path: str | Path) -> Manifest:
     return Manifest(path, results, shared, _entries(rows, places, path))
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as dictionaries by column name; raises FingerflowError if it is no table."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            heading, *rows = [row for row in csv.reader(file) if row] or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FingerflowError(f"{path} cannot be read ({reason}); give a CSV file in UTF-8") from None
-    names = [name.strip() for name in heading]
-    if not rows or "" in names or len(set(names)) < len(names):
-        raise FingerflowError(
-            f"{path}: has the columns {', '.join(map(repr, names)) or 'none'} and {len(rows)} rows; give a heading of "
-            f"different names and one row a trial"
-        )
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise FingerflowError(f"{path}, row {number}: {len(row)} cells, the heading has {len(names)}")
-    return [{name: cell.strip() for name, cell in zip(names, row, strict=True)} for row in rows]
+def relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, which need not contain it, with slashes."""
+    return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
@@ -234,20 +219,13 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
         if not row[name]:
             raise FingerflowError(f"{place}: {name} is empty; fill it in, or remove the row")
     answer = row.get(ANSWER, "").lower()
-    if answer not in _ANSWERS and answer not in _NO_ANSWER:
+    if answer not in ANSWERS and answer not in NOTHING:
         raise FingerflowError(
             f"{place}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
             f"nothing where there is no answer"
         )
-    settings: dict[str, Any] = {}
-    for name, cell in row.items():
-        key = _KEY_OF.get(name, name)
-        if "." in key and cell:
-            table = settings
-            *tables, last = key.split(".")
-            for part in tables:
-                table = table.setdefault(part, {})
-            table[last] = _value(cell) if name not in _KEY_OF else cell
+    settings = {_KEY_OF[name]: row[name] for name in _KEY_OF if row.get(name)}
+    settings |= {name: _value(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
@@ -256,9 +234,9 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
         participant=row[PARTICIPANT],
         trial=trial,
         condition=row[CONDITION],
-        answer=_ANSWERS.get(answer),
+        answer=ANSWERS.get(answer),
         others={name: cell for name, cell in row.items() if name not in KNOWN and "." not in name},
-        settings=settings,
+        settings=nested(settings),
     )
 
 

@@ -20,14 +20,15 @@ FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
 #: Metrics that have a curve.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
+#: Series of the table that are no variables of a result.
+_COMPUTED = ("strain", "strain_across", "strain_rate", "force_angle", "coverage")
 #: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
-    "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
-    "divergence": "median_divergence", "divergence_std": "median_divergence_std",
-    "divergence_rate": "median_divergence_rate", "curl": "median_curl", "curl_std": "median_curl_std",
-    "strain_energy": "strain_energy", "strain_energy_std": "strain_energy_std",
-    "strain_energy_rate": "strain_energy_rate", "global_displacement": "global_displacement",
-}  # fmt: skip
+    f"{one.name}{suffix}": f"{one.variable}{suffix}"
+    for one in AT_MOMENTS
+    if one.name not in _COMPUTED
+    for suffix in (("", "_std") if one.has_std else ("",))
+}
 READ = (
     *_SERIES.values(),
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),

@@ -134,7 +134,7 @@ def _run_groups(
     groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
     threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
     jobs = (
-        (name, [Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads) for one in group])
+        (name, [Job(replace(manifest, trials=(one.entry,)), one.redo, codes, threads) for one in group])
         for name, group in groups.items()
     )
 

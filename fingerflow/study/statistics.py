@@ -1,12 +1,10 @@
 """The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
 
-import math
 import warnings
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import (
@@ -21,7 +19,8 @@ from fingerflow.models.observer import (
     read_trials,
     spearman,
 )
-from fingerflow.report.trial_metrics import METRICS
+from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.trial_files import MEASURED
 
@@ -68,7 +67,7 @@ def sample_of(frame: Any) -> Sample:
     return Sample(read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum())))
 
 
-def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
+def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     """Compute all statistics as plain numbers, for `statistics.json` and the page.
 
     - `counted`: numbers of trials, left out by each rule and used.
@@ -84,7 +83,7 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
 
     Args:
         sample: of `sample_of`.
-        resamples, seed: of intervals and tests.
+        resamples: of intervals and tests.
     """
     trials = sample.trials
     found: dict[str, Any] = {
@@ -96,22 +95,21 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
             if name in trials.metrics and _FIRST in trials.metrics
         },
         "force_rate": _of_force_rate(trials),
-        "groups": _groups(trials, resamples, seed),
+        "groups": _groups(trials, resamples),
     }
     if sample.answered:
         found["by_answer"] = {name: one_way_anova(values, trials.answer) for name, values in trials.metrics.items()}
-        found["shares"] = {name: spearman(*_dots(trials, values)) for name, values in trials.metrics.items()}
-        found["observer"] = _observed(trials, resamples, seed)
-    return {name: _plain(value) for name, value in found.items()}
+        found["shares"] = {name: spearman(*dots_of(trials, values)[:2]) for name, values in trials.metrics.items()}
+        found["observer"] = _observed(trials, resamples)
+    plain: dict[str, Any] = json_value(found)
+    return plain
 
 
-def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
-    without = trials
-    if "global_displacement" in trials.metrics:
-        without = leave_out_moved(trials)
+def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
+    without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     found = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
-    for name, summary in observe(without, resamples=resamples, seed=seed).items():
+    for name, summary in observe(without, resamples=resamples).items():
         found[name] = {
             "d_prime": summary.d_prime,
             "auc": summary.auc,
@@ -121,20 +119,9 @@ def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
         }
         if first is not None and name != _FIRST:
             found[name]["beside_divergence"] = compare_auc(
-                without.split(name), first, participants=without.participants(), resamples=resamples, seed=seed
+                without.split(name), first, participants=without.participants(), resamples=resamples
             )
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
-
-
-def _dots(trials: Trials, values: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    medians, shares = [], []
-    for participant in np.unique(trials.participant):
-        for condition in np.unique(trials.condition):
-            own = (trials.participant == participant) & (trials.condition == condition) & np.isfinite(values)
-            if own.any():
-                medians.append(float(np.median(values[own])))
-                shares.append(float(trials.answer[own].mean()))
-    return medians, shares
 
 
 def _of_force_rate(trials: Trials) -> Any:
@@ -152,34 +139,9 @@ def _of_force_rate(trials: Trials) -> Any:
         return {"reason": f"the model cannot be fitted: {error}"}
 
 
-def _groups(trials: Trials, resamples: int, seed: int) -> Any:
+def _groups(trials: Trials, resamples: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
-    names = np.unique(trials.participant)
-    medians = [_median(trials.metrics[_FIRST][trials.participant == name]) for name in names]
-    divergence = NUMBERS[_FIRST]
-    shown = divergence.shown_values(np.array(medians))
-    groups = participant_groups(shown, resamples, seed)
-    return {
-        **asdict(groups), "names": names.tolist(), "medians": shown.tolist(), "unit": divergence.shown_unit.name
-    }  # fmt: skip
-
-
-def _median(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to types that JSON can represent; NaN becomes None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    names, medians = participant_medians(trials, _FIRST)
+    groups = participant_groups(medians, resamples)
+    return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

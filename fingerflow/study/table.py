@@ -1,6 +1,5 @@
 """Table of trials, and curves averaged by condition, from the stored rows of runs."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
-from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.manifest import Manifest, TrialEntry, relative
 from fingerflow.study.row import CURVES, FORCE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
@@ -88,8 +87,8 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
         facts = {
             "status": NOT_RUN if found is None else found.status,
             "reason": "" if found is None else found.reason,
-            "recording": _relative(recording, manifest.path.parent),
-            "result": None if result is None else _relative(result, manifest.path.parent),
+            "recording": relative(recording, manifest.path.parent),
+            "result": None if result is None else relative(result, manifest.path.parent),
             **{name: known.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
         }
         rows.append(
@@ -168,7 +167,3 @@ def _in_order(text: str) -> tuple[float, str]:
         return float(text), text
     except ValueError:
         return np.inf, text
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()

@@ -24,8 +24,7 @@ from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.cache_keys import Keys, all_codes, code_of, keys_of, look_at
-from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.processor import Share
+from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 
@@ -39,14 +38,12 @@ class Job:
 
     Attributes:
         manifest: of this trial alone.
-        entry: the trial.
         redo: "everything", what settings or code have "changed", or the "row" alone.
         codes: the client's `code_of` by part, which the worker's must equal.
         threads: number of threads that a worker uses.
     """
 
     manifest: Manifest
-    entry: TrialEntry
     redo: Part
     codes: Mapping[str, str]
     threads: int
@@ -54,13 +51,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a job: its status and reason, wall-clock and processor seconds."""
+    """Result of a job: its status and reason, and the processor seconds of its process over the trials of a batch."""
 
     name: str
     status: str
     reason: str = ""
     passing: bool = False
-    seconds: float = 0.0
     cpu_seconds: float = 0.0
 
 
@@ -81,20 +77,17 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             f"the same version of fingerflow on both"
         )
     _settle(job.threads)
-    with Share() as share:
-        return (yield from _run(job, together, share))
-
-
-def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
-    started, wall = datetime.now(UTC), time.perf_counter()
-    folder = job.manifest.results / job.entry.name
+    started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
+    (entry,) = job.manifest.trials
+    folder = job.manifest.results / entry.name
     keys: Keys | None = None
+    trace: dict[str, str] = {}
     try:
-        scene = job.manifest.scene_of(job.entry)
+        scene = job.manifest.scene_of(entry)
         stored = read_row(folder)
         keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
-            return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
+            return Outcome(entry.name, MEASURED, "was done by another run meanwhile")
         path, earlier = folder / result_name(keys), None
         if job.redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
             earlier = folder / stored.result
@@ -112,12 +105,10 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
         trial = TrialRow(FAILED, reason, _is_passing(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
-    else:
-        trace = {}
-    seconds, cpu_seconds = time.perf_counter() - wall, share.seconds()
+    cpu_seconds = (time.process_time() - cpu) / together
     made = {
         "started": started.isoformat(timespec="seconds"),
-        "seconds": round(seconds, 3),
+        "seconds": round(time.perf_counter() - wall, 3),
         "cpu_seconds": round(cpu_seconds, 3),
         "redone_from": job.redo,
         "threads": job.threads,
@@ -127,10 +118,10 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
         **trace,
     }
     try:
-        write_row(folder, TrialRow(**{**trial.__dict__, "made": made}))
+        write_row(folder, replace(trial, made=made))
     except FingerflowError as error:  # without a row the trial is run again
-        return Outcome(job.entry.name, FAILED, str(error), True, seconds, cpu_seconds)
-    return Outcome(job.entry.name, trial.status, trial.reason, trial.passing, seconds, cpu_seconds)
+        return Outcome(entry.name, FAILED, str(error), True, cpu_seconds)
+    return Outcome(entry.name, trial.status, trial.reason, trial.passing, cpu_seconds)
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:

@@ -60,8 +60,7 @@ def has_result(folder: Path, trial: TrialRow) -> bool:
 
 def write_row(folder: Path, trial: TrialRow) -> None:
     """Write `row.json`, and remove results that it does not name."""
-    content = asdict(trial) | {"keys": trial.keys and trial.keys.as_json()}
-    content = json.loads(json.dumps(content, allow_nan=False))
+    content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
     write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))
     for other in folder.glob("result-*.h5"):

@@ -1,6 +1,5 @@
 """Draft of a scene file while it is set up: its values, its problems, and writing it."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_template import scene_text
 
 Keys = tuple[str, ...]
+_MOST_FILES = 300  # that a page lists
 #: Messages for missing keys that need more than "is needed".
 _NEEDED = {
     "background.frames": "is needed: frames of the empty glass",
@@ -152,13 +152,12 @@ class Draft:
         return path
 
 
-def files_beside(path: Path, most: int = 300) -> list[str]:
-    """Return up to `most` names in the folder of a file, without hidden ones, to choose from."""
+def files_beside(path: Path) -> list[str]:
+    """Return up to 300 names in the folder of a file, without hidden ones, to choose from."""
     try:
-        names: Iterable[str] = sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))
+        return sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))[:_MOST_FILES]
     except OSError:
         return []
-    return list(names)[:most]
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:

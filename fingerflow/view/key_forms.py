@@ -16,12 +16,6 @@ from fingerflow.schema.scene_keys import (
     Whole,
     words_of,
 )
-from fingerflow.schema.scene_kinds import KINDS
-
-
-def kinds() -> list[str]:
-    """Return the kinds of scenes."""
-    return list(KINDS)
 
 
 def forms() -> dict[str, dict[str, Any]]:

@@ -138,6 +138,12 @@ class Previewer:
         return Batch(indices, read_frames(self._inputs.recording[indices]))
 
 
+def all_of_default_stages(scene: Scene) -> list[str]:
+    """Return all variables of the stages of a default run, including those computed only on request."""
+    stages = plan(None, scene).stages
+    return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
+
+
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
     """Return the series of a contact stage at one frame, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}

@@ -8,8 +8,9 @@ from tempfile import TemporaryDirectory
 
 
 def redirect(address: str) -> str:
-    """Return an HTML page that leads to an address."""
-    return f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}"><title>fingerflow</title>'
+    """Return an HTML page that leads to an address; without an icon of its own a browser would ask for one."""
+    leads = f'<meta http-equiv="refresh" content="0;url={html.escape(address)}">'
+    return f'<!doctype html>{leads}<link rel="icon" href="data:,"><title>fingerflow</title>'
 
 
 @contextmanager

@@ -118,14 +118,6 @@ class Results:
             raise FingerflowError(f"the points {list(points)[:5]} are not among the {self.data.sizes['point']} there")
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
-    def median_of_points(self, key: str, points: Sequence[int]) -> Values:
-        """Return the median (frames,) over these points, ignoring NaN."""
-        from fingerflow.pipeline.stages.preparation.series import (
-            nanmedian,  # with it comes torch: not before the first picture
-        )
-
-        return nanmedian(self.of_points(key, points))
-
     def range_of(self, key: str) -> tuple[float, float]:
         """Return the range of colours for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
 
@@ -151,7 +143,7 @@ class Results:
         columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
         if point_key and len(points):
             said = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
-            columns[f"{point_key} of {said} ({self._units(point_key)})"] = self.median_of_points(point_key, points)
+            columns[f"{point_key} of {said} ({self._units(point_key)})"] = median_of(self.of_points(point_key, points))
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
@@ -225,6 +217,14 @@ class Results:
     def _within(self, frame: int) -> None:
         if not 0 <= frame < self.data.sizes["frame"]:
             raise FingerflowError(f"frame {frame} is not among the {self.data.sizes['frame']} of {self.path}")
+
+
+def median_of(values: Values) -> Values:
+    """Return the median (frames,) over points of a history (frames, points), ignoring NaN."""
+    # With it comes torch: not before the first picture.
+    from fingerflow.pipeline.stages.preparation.series import nanmedian
+
+    return nanmedian(values)
 
 
 def _csv(columns: dict[str, NDArray[Any]]) -> str:

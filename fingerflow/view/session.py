@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings import Recording, force_columns, open_recording
+from fingerflow.recordings import force_columns, open_recording
 from fingerflow.results.result import is_result, open_result
 from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
+from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.views import View
 from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside
-from fingerflow.view.key_forms import forms, kinds
+from fingerflow.view.key_forms import forms
 from fingerflow.view.open_path import RESULT, Opened
 from fingerflow.view.pictures import Pictures
-from fingerflow.view.results import Results
+from fingerflow.view.results import Results, median_of
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not need it
     from fingerflow.view.preview import Previewer
@@ -86,18 +87,19 @@ class Session:
                 "stored": draft.is_stored,
                 "text": draft.text,
                 "forms": forms(),
-                "kinds": kinds(),
+                "kinds": list(KINDS),
                 "files": files_beside(draft.path),
                 "channels": self._channels(),
                 "calibration_picture": _calibration_picture(draft) is not None,
                 "result": self._result_path is not None,
             }
             try:
-                facts["recording"] = _recording_facts(self._pictures_of_draft())
+                pictures = self._pictures_of_draft()
             except FingerflowError as error:
                 facts["recording"], facts["recording_error"] = None, str(error)
             else:
-                if self._pictures_of_draft().recording.times is None:
+                facts["recording"] = _recording_facts(pictures)
+                if pictures.recording.times is None:
                     said = "is needed: the recording does not state it (Hz)"
                     facts["problems"].append({"key": "recording.frame_rate", "said": said})
             return facts
@@ -106,7 +108,10 @@ class Session:
         """Return a frame by its index in the file, packed, with the predicted contact if the scene is valid."""
         with self._lock:
             pictures = self._pictures_of_draft()
-            _check_frame(frame, pictures.recording)
+            if not 0 <= frame < len(pictures.recording):
+                raise FingerflowError(
+                    f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
+                )
             facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
             arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
             if contact:
@@ -220,7 +225,7 @@ class Session:
             if is_result(to) and _same_frames(to, scene):  # reuses results that are still valid
                 arguments += ["--from", to]
             if asked.get("all"):
-                from fingerflow.view.outputs import all_of_default_stages
+                from fingerflow.view.preview import all_of_default_stages
 
                 for name in all_of_default_stages(scene):
                     arguments += ["--variable", name]
@@ -318,11 +323,11 @@ class Session:
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
-            arrays = {"values": result.median_of_points(key, points)}
+            values = result.of_points(key, points)
+            arrays = {"values": median_of(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
             if len(points) == 1 and "status" in result.data:
                 arrays["status"] = result.of_points("status", points)[:, 0].astype(np.uint8)
-            known = np.isfinite(result.of_points(key, points)).sum(axis=1).astype(np.int32)
-            return packed({"key": key, "points": points}, {**arrays, "known": known})
+            return packed({"key": key, "points": points}, arrays)
 
     def table(self, asked: Mapping[str, Any]) -> str:
         """Return a CSV table of the shown time series, or of the shown frame."""
@@ -426,11 +431,6 @@ def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer
     from fingerflow.view.preview import Previewer
 
     return Previewer(scene, before)
-
-
-def _check_frame(frame: int, recording: Recording) -> None:
-    if not 0 <= frame < len(recording):
-        raise FingerflowError(f"frame {frame} is not among the {len(recording)} of {recording.path}")
 
 
 def _calibration_picture(draft: Draft) -> Path | None:

@@ -84,7 +84,7 @@ def test_the_energy_of_an_even_stretch_is_its_formula(simulated: SimulatedPresse
 
 
 def test_maps_are_the_chain_turned_about_its_axis(simulated: SimulatedPresses, part: SubFigure) -> None:
-    axes = presses.draw_strain_maps(part, simulated, (LOW, HIGH))
+    axes = presses.draw_strain_maps(part, simulated)
     xx, yy, xy = (one.images[0].get_array() for one in axes[1])
     np.testing.assert_allclose(np.ma.filled(xx, np.nan), np.ma.filled(yy, np.nan).T, atol=1e-12)
     middle = xx.shape[0] // 2
@@ -98,7 +98,7 @@ def test_maps_are_the_chain_turned_about_its_axis(simulated: SimulatedPresses, p
 
 
 def test_energy_maps_share_their_scale(simulated: SimulatedPresses, part: SubFigure) -> None:
-    axes = presses.draw_energy_maps(part, simulated, (LOW, HIGH))
+    axes = presses.draw_energy_maps(part, simulated)
     low, high = (one.images[0] for one in axes)
     assert low.get_clim() == high.get_clim()
     assert low.get_array().max() > high.get_array().max()

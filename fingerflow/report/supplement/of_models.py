@@ -19,9 +19,9 @@ def half_sphere(_: Sources) -> Sheet:
     return Sheet(
         "S4",
         (
-            SheetPanel("A", lambda part: draw_half_sphere(part.subplots())),
-            SheetPanel("B", lambda part: draw_lengths(part.subplots())),
-            SheetPanel("C", lambda part: draw_radial_strain(part.subplots())),
+            SheetPanel.of_axes("A", draw_half_sphere),
+            SheetPanel.of_axes("B", draw_lengths),
+            SheetPanel.of_axes("C", draw_radial_strain),
         ),
     )
 
@@ -29,7 +29,6 @@ def half_sphere(_: Sources) -> Sheet:
 def decomposition(sources: Sources) -> Sheet:
     """Figure S6, of the simulated press."""
     found = decompose(sources.field.reference, sources.field.displacement)
-
     return Sheet("S6", (SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
 
 
@@ -44,6 +43,6 @@ def strains_at_depth(sources: Sources) -> Sheet:
             SheetPanel("C", lambda part: draw_stress_map(part, presses, depth)),
             SheetPanel("D", lambda part: draw_receptor_stress(part, presses, depth)),
             SheetPanel("E", lambda part: draw_strain_in_time(part, presses, depth)),
-            SheetPanel("F", lambda part: draw_compression(part.subplots(), presses, depth)),
+            SheetPanel.of_axes("F", draw_compression, presses, depth),
         ),
     )

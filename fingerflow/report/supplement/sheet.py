@@ -22,6 +22,11 @@ class SheetPanel:
     columns: int = 1
     rows: float = 1.0
 
+    @classmethod
+    def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
+        """Return a panel of one axes, into which ``draw(axes, *values)`` draws."""
+        return cls(letter, lambda part: draw(part.subplots(), *values), columns)
+
 
 @dataclass(frozen=True)
 class Sheet:

@@ -12,6 +12,7 @@ from fingerflow.report.simulated_presses import SimulatedPresses, simulate_press
 from fingerflow.report.strains_at_depth import Depth, look_under
 from fingerflow.report.trial_metrics import DIFFERENCE
 from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.synthetic import Press
 
 NO_TRIALS = "a table of trials (--trials)"
 
@@ -41,7 +42,7 @@ class Sources:
     @cached_property
     def field(self) -> PressField:
         """Compute the field of the simulated press."""
-        return press_field()
+        return press_field(Press())
 
     def difference(self, metric: str) -> str:
         """Return the column of a metric's difference, comparison less reference, or the metric's own without one."""
