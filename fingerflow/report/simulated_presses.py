@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
+from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished
 
@@ -77,10 +78,11 @@ class Profile:
 def simulate_presses(
     friction: Sequence[float] = FRICTIONS, times: int = _TIMES, elements: int = _ELEMENTS
 ) -> SimulatedPresses:
-    """Press the chain of the default parameters with a force that rises to 3 N in a second, at each friction."""
+    """Press a chain whose contact has the printed area with a force that rises to 3 N in a second, at each friction."""
     time = torch.linspace(0, 1.0, times, dtype=torch.float64)
     force = 3.0 * time
-    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, elements=elements)
+    skin = PARAMETERS["fitted"]
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, parameters=skin, elements=elements)
     return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
 
 

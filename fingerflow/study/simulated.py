@@ -1,7 +1,9 @@
 """A simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
 
-Divergence is that of the skin chain (Willemet et al. 2021) at the friction of a condition and the softness of a
-participant. The observer perceives it with noise and answers "more slippery" if it exceeds a criterion.
+The observer perceives, with noise, what a camera measures: the median divergence over the contact area since each
+point's onset, at the largest force, of the skin chain (Willemet et al. 2021) that is recorded. It answers "more
+slippery" if that exceeds a criterion. Above a friction of 0.2 less friction gives more divergence; below, the edge of
+the contact slides outward as a whole, and the median by area no longer rises.
 """
 
 import csv
@@ -14,14 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.models.skin_chain import press
-from fingerflow.models.skin_parameters import named
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.synthetic import Camera, ChainPress, write_recording
 
 Values = NDArray[np.float64]
-_RECORDED_N = 2.0  # force in recordings, at which a contact of softer skin fits in the views
-_FRAMES, _FRAME_SHAPE, _FINGER = 40, (224, 560), (3.6, 3.4)
+_LOAD_N = 3.0
+_FRAMES, _FRAME_SHAPE, _FINGER, _MM_PER_PX = 40, (300, 600), (6.0, 6.0), 0.04  # contacts of up to 10 mm
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Design:
         trials: of each participant in each condition.
         amplitudes: µm of vibration, one per condition.
         friction: coefficient without vibration, and at the largest amplitude; between them it falls geometrically.
-        softness: of the softer skin: divisor of the chain's stiffnesses.
+        softness: of firmer and softer skin: divisors of the chain's printed stiffnesses (5.6 gives the printed area).
         criterion: divergence above which the observer answers "more slippery".
         noise: standard deviation of the perceived divergence.
         seed: of all random numbers.
@@ -42,10 +42,10 @@ class Design:
     participants: int = 16
     trials: int = 14
     amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-    friction: tuple[float, float] = (0.9, 0.03)
-    softness: float = 2.2
-    criterion: float = 0.022
-    noise: float = 0.006
+    friction: tuple[float, float] = (0.9, 0.2)
+    softness: tuple[float, float] = (4.5, 7.0)
+    criterion: float = 0.004
+    noise: float = 0.002
     seed: int = 0
 
     @cached_property
@@ -64,25 +64,24 @@ class Design:
 def write_recordings(folder: Path, design: Design) -> None:
     """Write one `ChainPress` recording per trial with its scene, `answers.csv` and `truth.json`, into a new folder.
 
-    A trial's divergence varies through its force, 2 N with a standard deviation of a tenth. The observer perceives the
-    chain's divergence at this force.
+    A trial's divergence varies through its force, 3 N with a standard deviation of a tenth.
 
     Raises FingerflowError if a recording cannot be written.
     """
     draw = np.random.default_rng(design.seed)
     rows = []
     for number in range(design.participants):
-        softness = design.softness if design.is_soft()[number] else 1.0
+        softness = design.softness[int(design.is_soft()[number])]
         for place, (amplitude, friction) in enumerate(zip(design.amplitudes, design.frictions, strict=True)):
             for repeat in range(design.trials):
                 trial = place * design.trials + repeat + 1
-                load = _RECORDED_N * min(max(1 + 0.1 * draw.standard_normal(), 0.7), 1.2)
+                load = _LOAD_N * min(max(1 + 0.1 * draw.standard_normal(), 0.7), 1.2)
                 recorded = ChainPress(
                     friction=float(friction), softness=softness, force=load, n_frames=_FRAMES, frame_rate=_FRAMES,
-                    frames_before_trigger=2, frame_shape=_FRAME_SHAPE, finger=_FINGER, elements=501,
-                    camera=Camera(seed=int(draw.integers(1 << 30))),
+                    frames_before_trigger=2, frame_shape=_FRAME_SHAPE, finger=_FINGER, mm_per_px=_MM_PER_PX,
+                    elements=501, camera=Camera(seed=int(draw.integers(1 << 30))),
                 )  # fmt: skip
-                felt = float(press(float(friction), named("paper").softer(softness), load_n=load).divergence)
+                felt = float(recorded.chain_since_onset.area_median[-1])
                 name = f"p{number + 1:02d}/{amplitude:g}um/trial{trial:03d}"
                 write_recording(folder / name, recorded)
                 answer = bool(answers_of(design, np.array([felt]), draw)[0])

@@ -30,6 +30,10 @@ class TableDesign(Design):
         spread: standard deviation of a trial's divergence around that of its participant and condition.
     """
 
+    friction: tuple[float, float] = (0.9, 0.03)
+    softness: tuple[float, float] = (1.0, 2.2)
+    criterion: float = 0.022
+    noise: float = 0.006
     own: float = 0.03
     spread: float = 0.003
 
@@ -37,7 +41,7 @@ class TableDesign(Design):
     def divergences(self) -> Values:
         """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
         friction = torch.from_numpy(self.frictions)
-        found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in (1, self.softness)]
+        found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in self.softness]
         return np.asarray(torch.stack(found))
 
 

@@ -77,7 +77,7 @@ def test_one_study_whole() -> None:
 
 
 def test_equal_skin_is_one_group() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(softness=1.0, seed=5)))
+    frame = pd.DataFrame(simulate_table(TableDesign(softness=(1.0, 1.0), seed=5)))
     assert statistics_of(sample_of(frame), resamples=300)["groups"]["groups"] == 1
 
 
