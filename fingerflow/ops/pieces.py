@@ -13,7 +13,7 @@ _PIXELS = 1 << 19
 
 
 def frames_at_once(frames: Tensor) -> int:
-    """Return how many frames of (B, 1, H, W) to compute at once where each needs many intermediate planes."""
+    """Return how many frames (B, 1, H, W) to compute at once in an op with many intermediate planes per frame."""
     return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 

@@ -16,12 +16,12 @@ def components_first(points: Tensor) -> Tensor:
 
 
 def finite(values: Tensor) -> Tensor:
-    """Return (...) bool, True where floating values are finite: two operations where `isfinite` takes four."""
+    """Return True for finite values: two operations where `isfinite` takes four."""
     return values.abs() < math.inf
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """Sum (..., K, P) over K, a fixed number, to (..., 1, P).
+    """Return the sum of a tensor (..., K, P) over its K rows, (..., 1, P); K is fixed.
 
     It is a product with ones: a reduction over such an axis takes ten times as long.
     """

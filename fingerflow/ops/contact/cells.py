@@ -87,7 +87,7 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """Evaluate `covered` at every pixel of the frames that the cells were computed from: (B, 1, height, width) bool.
+    """Return the mask (B, 1, height, width) bool of all pixels of a frame for which `covered` is true.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -101,8 +101,9 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the indices of the two cells around each pixel of a line, as in `at_places`, and the distance from the
-    first in cells; each (pixels,).
+    """Return the indices of the two cells between whose centres each pixel of a line lies, and the pixel's distance.
+
+    The distance is from the first cell, in cells; the line is clamped as in `at_places`. Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))
