@@ -18,9 +18,10 @@ def frames_at_once(frames: Tensor) -> int:
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
-    """Return `compute(*given)`, a tensor or a named tuple of tensors with one row per frame, computed in pieces.
+    """Evaluate `compute(*given)` a few frames at a time.
 
-    While a graph is traced and on devices other than the CPU the whole batch is computed in one call.
+    It returns a tensor, or a named tuple of tensors, with one row per frame. While a graph is traced and on devices
+    other than the CPU the whole batch is computed in one call.
 
     Args:
         compute: function that treats frames independently.

@@ -29,14 +29,14 @@ def sum_rows(values: Tensor) -> Tensor:
 
 
 def symmetric(three: Tensor) -> Tensor:
-    """Return symmetric matrices (B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    """Return symmetric matrices (B, 2, 2, Q) from their elements xx, xy, yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)
     result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
     return result
 
 
 def products(left: Tensor, right: Tensor) -> Tensor:
-    """Return the products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
+    """Return the matrix products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
 
     Written out, since batched products of small matrices take longer.
     """

@@ -5,8 +5,8 @@
 
 A bundle contains this folder unchanged. Frames pass through threads: one for capture, one for each frame that is
 computed in parallel, one to measure, one to store. The main thread monitors them, and another serves the live page.
-Frame buffers and records are allocated once. Positions are (x, y) px of the views with integer pixel centres, areas mm²,
-axes mm, times s.
+Frame buffers and records are allocated once. Positions are (x, y) px of the views with integer pixel centres, areas
+mm², axes mm, times s.
 """
 
 from fingerflow.errors import PlayerError

@@ -128,7 +128,7 @@ class InOrder(Generic[T]):
                 self._changed.notify_all()
 
     def stop(self) -> None:
-        """Let no further items begin; items before the first missing one still end."""
+        """Let no further items begin; computed items still end if no earlier item is missing."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()

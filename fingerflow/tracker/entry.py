@@ -194,8 +194,8 @@ class Entries:
     def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
         """Add a frame and return each point's displacement gradient (N, 2, 2) since its own entry.
 
-        The result is None if no point has entered. They are NaN for lost points, and to be used for points that have
-        `entered` only.
+        The result is None if no point has entered. Gradients are NaN for lost points, and to be used for points that
+        have `entered` only.
 
         Args:
             position: (N, 2) mm, NaN where lost.

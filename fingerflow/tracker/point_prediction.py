@@ -45,7 +45,7 @@ class PointMotion(NamedTuple):
     def seeded(self, points: Array) -> PointMotion:
         """Return the motion of newly seeded points (N, 2) px, with the speed of the tracked points around them.
 
-        It is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
+        The speed is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
         """
         others = PointMotion.at_rest(points)
         seen, given = np.flatnonzero(self.missing == 0), np.flatnonzero(others.known)

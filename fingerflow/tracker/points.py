@@ -428,8 +428,8 @@ class Points:
     def _check_templates(self, warp: Array, shift: Array) -> None:
         """Plan the update of templates whose window edges have shifted by more than `UPDATE_PX`.
 
-        It is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so fast
-        that the update interval is shorter, it is due as soon as possible.
+        An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so
+        fast that the update interval is shorter, it is due as soon as possible.
         """
         window, frames = self._engine.settings.window_px, self._followed - self._checked
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))

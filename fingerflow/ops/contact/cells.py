@@ -37,7 +37,7 @@ def sum_of(parts: Sequence[Tensor]) -> Tensor:
 
 
 def widest(cells: Tensor) -> Tensor:
-    """Return the maximum of the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, zeros beyond."""
+    """Return the maximum over the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, 0 beyond."""
     down = functional.pad(cells, (0, 0, 1, 1))
     down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
     along = functional.pad(down, (1, 1))

@@ -123,8 +123,8 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
     """Return the mean (B,) of two medians of a histogram (B, 256): of the levels above `level` and of those up to it.
 
-    `level` is (B,). It is NaN where no count lies above. Without counts up to the level, the lower class replaces their
-    median.
+    `level` is (B,). The mean is NaN where no count lies above. Without counts up to the level, the lower class replaces
+    their median.
     """
     place = torch.arange(_LEVELS, dtype=counts.dtype, device=counts.device)
     above = (place > level[:, None]).to(counts.dtype)

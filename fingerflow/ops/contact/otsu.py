@@ -100,7 +100,7 @@ def otsu_threshold(
 
 
 def otsu_classes(counts: Tensor) -> Classes:
-    """Compute Otsu's two classes (1979, eq. 18) of floating counts (B, 256) of levels 0 to 255, in the counts' dtype.
+    """Split histograms (B, 256) of levels 0 to 255 into Otsu's two classes (1979, eq. 18), in the dtype of the counts.
 
     Of equally good thresholds the lowest is taken.
     """

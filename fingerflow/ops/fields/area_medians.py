@@ -54,13 +54,13 @@ def area_medians(
     covariance: Tensor | None = None,
     apart: Apart | None = None,
 ) -> AreaMedians:
-    """Compute medians over ellipses of the current image, of fields in reference coordinates.
+    """Compute the medians of divergence, curl and strain over ellipses of the current (deformed) image.
 
-    The gradient G of the displacement with respect to current coordinates is fitted as in `local_gradients` at 800
-    positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979). The gradient with respect to
-    reference coordinates is G (I - G)^-1. The median is thus weighted by current area. A median over the points would
-    differ, since they crowd where skin has texture. So would one over reference positions, since expanding skin covers
-    more of the area than before.
+    The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
+    fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
+    1979). The gradient with respect to reference coordinates is G (I - G)^-1. The median is thus weighted by current
+    area. A median over the points would differ, since they crowd where skin has texture. So would one over reference
+    positions, since expanding skin covers more of the area than before.
 
     A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
     satisfies the conditions of `local_gradients` and has points on all sides.
@@ -127,7 +127,7 @@ def _of_known(
 ) -> AreaMedians:
     """Compute `_medians` without the points that are unknown in every frame; with all points while a graph is traced.
 
-    The known points are few while a contact grows. These are few while a contact grows.
+    The known points are few while a contact grows.
     """
     points: list[Tensor | None] = [reference, displacement, *others]
     count = displacement.shape[1]
@@ -285,9 +285,9 @@ def _beside(
 ) -> Tensor:
     """Return the weight (B, 5, Q) with which the error of a field at each position enters the error of its median.
 
-    The median is (B, 5, 1). It is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the median in
-    units of two standard deviations of a single fit. These are those of a fit among evenly spread points, each with the
-    mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
+    The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
+    median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
+    each with the mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
     """
     number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
     mean = symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)

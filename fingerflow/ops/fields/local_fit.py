@@ -13,7 +13,7 @@ from fingerflow.ops.fields.weighted_moments import weighted_moments
 
 
 class LocalFit(NamedTuple):
-    """Linear fits at Q queries of C components; NaN where the points do not determine a fit."""
+    """Linear fits around Q queries to values of C components; NaN where the points do not determine a fit."""
 
     value: Tensor  # (B, Q, C), the unit of the values
     gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit

@@ -152,7 +152,7 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """Return the products aa, ab, bb (B, 3, N) of pairs (B, 2, N)."""
+    """Return the products aa, ab, bb (B, 3, N) of the components a, b of pairs (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 
@@ -162,7 +162,7 @@ def _mixed(components: Tensor, pair: Tensor) -> Tensor:
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Return the products (B, K, Q) of rows (B, K, N) with a matrix (1 or B, Q, N).
+    """Multiply rows (B, K, N) with a matrix of weights (1 or B, Q, N), summing over N points: (B, K, Q).
 
     One matrix for all frames is not copied for each of them. In an exported graph the matrix is the first factor: this
     takes ONNX runtimes half the time for few rows, but torch twice the time.

@@ -15,10 +15,10 @@ def point_gradients(
 ) -> tuple[Tensor, Tensor | None]:
     """Return displacement gradients (B, N, 2, 2) at the points and their covariance, as `local_gradients` fits them.
 
-    Displacements are (B, N, 2), reference positions (1 or B, N, 2). Both are those of `local_gradients`. The gradient
-    is (B, N, 2, 2). With `covariance` (B, N, 2, 2) of the displacements, its covariance is (B, N, 2, 2, 2, 2), else
-    None; both as in `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled kernels fit
-    differences of positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
+    Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
+    displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
+    `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled kernels fit differences of
+    positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
     """
     if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
@@ -92,8 +92,8 @@ def neighbour_planes(
 def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
     """Return gradients (B, Q, C, 2) at queries (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
 
-    They are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed cost,
-    which is exported. `gauge_length` (1,) is in the unit of the points.
+    Gradients are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed
+    cost, which is exported. `gauge_length` (1,) is in the unit of the points.
     """
     radius = gauge_length.to(points.dtype) / 2
     both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)

@@ -27,7 +27,7 @@ def curl(gradient: Tensor) -> Tensor:
 
 
 def shear(gradient: Tensor) -> Tensor:
-    """Return the two shear components (..., 2), without unit.
+    """Return the two shear components (..., 2) of a displacement gradient, without unit.
 
     They are s = du/dx - dv/dy along the axes and t = du/dy + dv/dx along the diagonals. With divergence d and curl c
     the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021, figure S6).

@@ -58,7 +58,7 @@ def triangle_gradients(
 def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
     """Return the gradients (B, M, 3, 2) of the three linear shape functions of each triangle.
 
-    A shape function is 1 on one corner and 0 on the other two. They are per length unit of points (B, N, 2): with
+    A shape function is 1 on one corner and 0 on the other two. Gradients are per length unit of points (B, N, 2): with
     values u_k at the corners, `triangle_gradients` is the sum of u_k s_k'. Infinite or NaN for a collinear triangle,
     NaN where a vertex is missing.
     """
@@ -93,7 +93,7 @@ def triangle_quality(points: Tensor, triangles: Tensor) -> Tensor:
 def _edges(per_point: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
     """Return the differences of point values along two edges of each triangle, from its first vertex; (B, M, C) each.
 
-    The values are (B, N, C). They are NaN where a vertex is missing.
+    The values are (B, N, C). The differences are NaN where a vertex is missing.
     """
     if triangles.dim() != 2 or triangles.shape[1] != 3:
         raise ValueError(f"triangles must have shape (M, 3), found {tuple(triangles.shape)}")

@@ -111,7 +111,7 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _integral(along: Tensor, across: Tensor) -> Tensor:
-    """Return the integral of along / (2 pi r^2) over the unit square around (along, across), r the distance from 0."""
+    """Return the integral of a / (2 pi (a^2 + b^2)) over the unit square around (a, b) = (along, across)."""
 
     def antiderivative(a: Tensor, b: Tensor) -> Tensor:
         return b / 2 * torch.log(a.square() + b.square()) + a * torch.atan(b / a)

@@ -60,7 +60,7 @@ _TINY = 1e-12
 
 
 class Flow(NamedTuple):
-    """Displacement field of B pairs of images.
+    """Dense displacement field of B pairs of images, with covariance and residual.
 
     Attributes:
         displacement: (B, 2, H, W) px as (u, v), of the skin at each pixel of the first image; NaN outside the mask, and

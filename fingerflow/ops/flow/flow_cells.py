@@ -179,8 +179,8 @@ COURSE_WINDOW = window(9)  # cells of 4 px
 def course(flow: Tensor, known: Tensor) -> Tensor:
     """Return the trend (B, 2, h, w) of a flow on cells, the smooth part that the smoothness term does not penalise.
 
-    `known` (B, 1, h, w) is 1 for cells that contribute, else 0. It is the best-fitting plane, plus planes fitted to the
-    remainder around every position, in two successive boxes of 36 px.
+    `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
+    to the remainder around every position, in two successive boxes of 36 px.
     """
     whole = plane_of(flow, known).at(*places(flow))
     share = halved(known)

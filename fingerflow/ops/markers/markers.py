@@ -44,7 +44,7 @@ class MarkerLook(NamedTuple):
 
 
 class Markers(NamedTuple):
-    """Markers of B images, strongest first; NaN after the last.
+    """Detected markers of B images, strongest first, padded with NaN.
 
     Attributes:
         points: (B, N, 2) px, N the largest number of markers in one of the images.

@@ -34,7 +34,7 @@ def correct_points(
     gauge_px: float,
     support: Support | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Return points of K frames, corrected for the measured deformation of the skin.
+    """Correct tracked points of K frames for the measured deformation of the skin.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.

@@ -1,4 +1,4 @@
-"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than they."""
+"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than these."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Flags of points, (B, N) bool each.
+    """Outlier flags of tracked points, (B, N) bool each.
 
     Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 

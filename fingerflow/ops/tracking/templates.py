@@ -58,7 +58,7 @@ class Templates(NamedTuple):
 
     @property
     def window(self) -> int:
-        """Return the side n of the window, px."""
+        """Return the side n of the template windows, px."""
         result: int = round(self.samples.shape[-1] ** 0.5)
         return result
 

@@ -1,4 +1,4 @@
-"""Sources of frames. Each module of this folder with the attributes of `Reader` is found automatically."""
+"""Sources of the frames of a stream; each module of this folder with the attributes of `Reader` is found by itself."""
 
 from __future__ import annotations
 
