@@ -103,7 +103,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Remove from the waiting calls, and return by recording, those to be batched next: first of `_ORDER`."""
+    """Remove and return, by recording, the waiting calls to be batched next: those of the kind first in `_ORDER`."""
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place

@@ -30,7 +30,7 @@ class Case(NamedTuple):
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
-    """Create the test cases.
+    """Create the test cases for the graphs of a recipe.
 
     These are a press with sub-pixel motion; blank, black, saturated or noise frames; invalid points.
     """

@@ -33,7 +33,7 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Fit planes to scattered values around queries, as `ops.fields.local_fit`, to rounding.
+    """Fit planes to scattered values around queries, as `ops.fields.local_fit` up to rounding.
 
     Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
     C) share a dtype, float32 or float64. B is that of the results, or 1.
@@ -99,7 +99,7 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute the medians of fields over ellipses, as `ops.fields.area_medians`, to rounding; all float32.
+    """Compute the medians of fields over ellipses, as `ops.fields.area_medians` up to rounding; all float32.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.
@@ -178,7 +178,7 @@ def triangle_strain(
     measure: int,
     stiffness: Sequence[float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain`, to rounding.
+    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain` up to rounding.
 
     The results are strain (B, M, 3), its standard deviation, energy density (B, M), energy (B,) float64, forces
     (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each point adds to the energy.

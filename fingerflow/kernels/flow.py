@@ -115,7 +115,7 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Compute the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended`, to rounding.
+    """Compute the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
@@ -150,7 +150,7 @@ def flow_descend(
 
 
 def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """Compute the multigrid levels of `ops.flow.flow_multigrid.pyramid`, to rounding, as one flat array (N,).
+    """Compute the multigrid levels of `ops.flow.flow_multigrid.pyramid` up to rounding, as one flat array (N,).
 
     It holds the inverse of the finest level (B, 3, H, W), then tensor, right, down, inverse and inside of each coarser
     one, concatenated.

@@ -160,7 +160,7 @@ def _lent_threads() -> int:
 
 
 def _path() -> Path | None:
-    """Return the path of the compiled library, beside the package's folders; one for this version of Python first.
+    """Return the path of the compiled library in the package, preferably the one built for this Python version.
 
     The library is no Python module, so one built for another version works as well.
     """

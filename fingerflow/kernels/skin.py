@@ -25,7 +25,7 @@ def press_skin(
     tolerance: float,
     duration: float,
 ) -> tuple[Array, Array]:
-    """Advance B skin chains of N elements in time, as `models.skin_implicit.advance`, to rounding; float64, SI units.
+    """Advance B skin chains of N elements in time, as `models.skin_implicit.advance` up to rounding; float64, SI units.
 
     Inputs are `reference` (B, N, 2), `numbers` (B, 10) in the order of `models.skin_forces.Chain`, `friction` (B, N),
     `load` (B, 2, 2), first and last, and `rest` (B,). The state `place` (B, N, 2), `bone` (B, 2), `rubbed` (B, N) and

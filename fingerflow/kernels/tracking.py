@@ -321,7 +321,7 @@ def search_windows(
 
 
 def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
-    """Sample grey levels in deformed windows (N, m), as `ops.tracking.window_correlation`, to rounding of positions.
+    """Sample grey levels in deformed windows (N, m), as `ops.tracking.window_correlation` up to rounding of positions.
 
     Images are (n, 1, H, W) of FRAME_KINDS, at least 4 x 4 px; `image_index` (N,) is int64, `places` (N, 2) and `warp`
     (N, 2, 2) are float32.

@@ -21,7 +21,7 @@ def finite(values: Tensor) -> Tensor:
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """Return the sum of a tensor (..., K, P) over its K rows, (..., 1, P); K is fixed.
+    """Return the sum of a tensor (..., K, P) over its axis of K elements, (..., 1, P); K is a fixed number.
 
     It is a product with ones: a reduction over such an axis takes ten times as long.
     """

@@ -78,7 +78,7 @@ class LiveData:
         return time.perf_counter() - self._asked < 2
 
     def is_due(self) -> bool:
-        """Return whether the live page needs a new image; if so, count one as drawn now.
+        """Return whether the live page needs a new image; if so, record that it is drawn now.
 
         It does if a page is open and the last image is old enough.
         """

@@ -151,7 +151,7 @@ class _Change(NamedTuple):
 
 
 class _Unlearnt(NamedTuple):
-    """Frame whose measured threshold is still to be processed; it is only skipped unless it `counts`.
+    """Frame whose measured threshold is not processed yet; only a frame that `counts` may set the threshold.
 
     It stores the number of the frame, because a `Frame` with results is reused for another image.
     """
@@ -242,7 +242,7 @@ class StreamTracker:
         return self._begun - self._finished
 
     def must_wait(self, frame: Frame) -> bool:
-        """Return whether all earlier frames must be finished before this one begins."""
+        """Return whether all earlier frames must be finished before a frame begins."""
         return bool(
             self._search.due(self._begun) is not None
             or self._due_change() is not None
@@ -395,7 +395,7 @@ class StreamTracker:
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Reseed the points if this gives more than were tracked, or on a user's request if it gives any."""
+        """Reseed the points if this gives more points than are tracked, or, on a user's request, if it gives any."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]

@@ -36,7 +36,7 @@ class Touching(NamedTuple):
 
 
 class Touches:
-    """State of the touch of each point, updated with each run of frames.
+    """State of each point's touch of the glass, updated with each run of frames.
 
     A touch shorter than `LASTING` frames is discarded: whether the border grazes a point is chance, and the skin keeps
     moving until the contact lasts. A lasting touch is kept, even if the contact leaves the point later.
@@ -118,7 +118,7 @@ class Touches:
 
 
 def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """Return positions (F, N, 2) mm, moved back to the border of the contact where a touch begins, and shares (F, N).
+    """Interpolate positions (F, N, 2) mm to the contact's border where a touch begins; also return the shares (F, N).
 
     The first of the positions (F + 1, N, 2) and of the borders belongs to the frame before. A share is the fraction of
     the step from the previous frame at which the border passed the point: depth inside the ellipse is interpolated

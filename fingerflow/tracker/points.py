@@ -36,7 +36,7 @@ _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of other frames while one is tracked, and limits of computing time.
+    """Knowledge of other frames while one frame is tracked, and limits of computing time.
 
     Attributes:
         lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
@@ -393,7 +393,7 @@ class Points:
         return found
 
     def _known_of_templates(self, others: int) -> tuple[Array, Array]:
-        """Return the statistics and the inverse deformation F_0^-1 of the templates of N + A points.
+        """Return the statistics and inverse deformation F_0^-1 of the templates of N points and A surrounding ones.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """

@@ -198,7 +198,7 @@ def _steps(blocks: Blocks, before: Blocks) -> Array:
 
 
 def _change_of_light(blocks: Blocks, before: Blocks) -> float:
-    """Return the change of light common to nine tenths of the blocks: the |log ratio| that each of them exceeds.
+    """Return the change of light common to nine tenths of the blocks: the smallest |log ratio| among them.
 
     All of these blocks became lighter, or all became darker.
     """

@@ -31,7 +31,7 @@ class ThresholdSearch:
         self._searching, self._asked, self._found = True, None, None
 
     def due(self, index: int) -> float | None:
-        """Return the new threshold that applies from this frame on; None if the one in use stays."""
+        """Return the new threshold that applies from frame `index` on; None if the one in use stays."""
         found = self._found
         return found[1] if found is not None and index >= found[0] + self._lag else None
 
@@ -40,7 +40,7 @@ class ThresholdSearch:
         self._searching, self._area, self._asked, self._found = False, math.nan, None, None
 
     def wants(self, index: int) -> bool:
-        """Return whether the threshold is to be measured in this frame."""
+        """Return whether the threshold is to be measured in frame `index`."""
         if self._searching:
             return index % self._EVERY == 0
         return self._asked is not None and index == self._asked + self._lag

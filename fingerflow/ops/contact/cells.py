@@ -50,7 +50,7 @@ def enlarge(cells: Tensor, times: int) -> Tensor:
 
 
 def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Interpolate cells (B, 1, h, w) bilinearly at finite positions x, y (B, N), in cells; returns (B, N).
+    """Interpolate values on cells (B, 1, h, w) bilinearly at finite positions x, y (B, N) in units of cells, to (B, N).
 
     Positions beyond the centres of the outermost cells take the value at the nearest position between centres.
     """

@@ -152,7 +152,7 @@ def _medians(
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians by matrix products at fixed cost, the form that is exported.
+    """Compute the medians of fields by matrix products at fixed cost, the form that is exported.
 
     `entered` are the three attributes of `Apart`, or None.
     """

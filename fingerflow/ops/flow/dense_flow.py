@@ -193,7 +193,7 @@ def prepare_flow(
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
-    """Compute the template of a floating image and, while its texture exceeds the noise, of its halved images.
+    """Compute the flow template of a floating-point image, and of its halved images while texture exceeds the noise.
 
     The covariance is left None.
     """
@@ -319,7 +319,7 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Estimate the flow from the halved images, without an initial value: px on cells; 0 without halved images."""
+    """Estimate the flow on cells, px, from the halved images, for a cold start; 0 if there are none."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
@@ -377,7 +377,10 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """Compute the residual of `_left` separately for each channel; its products are not divided by the gain."""
+    """Compute the residual of a flow for each channel separately.
+
+    As for `_left`, but the products with the slopes are not divided by the gain.
+    """
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])

@@ -140,7 +140,7 @@ def planes(moments: Tensor) -> Planes:
 
 
 def window(side: float) -> list[float]:
-    """Return the weights along a line of cells of two successive box means, each `side` cells wide, at least 1."""
+    """Return the weights of a window along a line of cells: two successive box means, each `side` >= 1 cells wide."""
     reach = math.ceil((side - 1) / 2 - 1e-9)
     ends = (side - (2 * reach - 1)) / 2
     once = [1.0] if reach == 0 else [ends / side, *[1 / side] * (2 * reach - 1), ends / side]
@@ -150,7 +150,7 @@ def window(side: float) -> list[float]:
 
 
 def window_variance(weights: list[float]) -> float:
-    """Return the variance, px^2, of the position within a window along one axis, including that within its cells."""
+    """Return the variance, px^2, of a window of weights along one axis, including the extent of its cells."""
     half = len(weights) // 2
     spread_out = sum(weight * (k - half) ** 2 for k, weight in enumerate(weights))
     return CELL**2 * spread_out + (CELL**2 - 1) / 12

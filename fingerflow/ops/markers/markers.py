@@ -39,7 +39,7 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Radius of a marker, px: the disc whose response is largest at this scale."""
+        """Radius of a marker, px: that of the disc with the strongest response at this scale."""
         return math.sqrt(2) * self.scale
 
 
@@ -138,7 +138,10 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Return the position (B, N, 2) px of the highest response at a coarser scale, within one scale of x, y (B, N)."""
+    """Locate markers at a coarser scale: return the position (B, N, 2) px of the highest response near x, y (B, N).
+
+    Positions within one scale are considered.
+    """
     reach = math.ceil(look.scale)
     response = look.polarity * _response(image, _COARSER * look.scale, margin=1)[:, 0]
     height, width = image.shape[-2:]

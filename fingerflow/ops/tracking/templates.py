@@ -252,7 +252,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return point indices (B, L), L at most N, beginning with those of the points that are `wanted` (B, N) bool.
+    """Return the indices (B, L) of the points that are `wanted` (B, N) bool, filled up with others to one number L.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
@@ -270,7 +270,7 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Return `found` (B, N), with the results `again` of the points `chosen` (B, L) inserted where `wanted` (B, N)."""
+    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), where `wanted` (B, N) is True."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -475,9 +475,10 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return three sums (B, 3, N) over the residual D = M - a T - b of each registered window M (P, samples).
+    """Return three sums (B, 3, N) over the residual of each registered window.
 
-    These are the sum of D^2, and of D grad D in x and in y: half the differences of D^2 between opposite edges.
+    The residual of a window M (P, samples) is D = M - a T - b. These are the sum of D^2, and of D grad D in x and in y:
+    half the differences of D^2 between opposite edges.
     """
     own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)

@@ -1,4 +1,4 @@
-"""Sources of the frames of a stream; each module of this folder with the attributes of `Reader` is found by itself."""
+"""Sources of frames of a stream; the modules of this folder with the attributes of `Reader` are found automatically."""
 
 from __future__ import annotations
 

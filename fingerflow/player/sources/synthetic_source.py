@@ -88,7 +88,7 @@ class Synthetic:
         return self._expected[place] | {"median_divergence": known[place]}
 
     def _place(self, number: int) -> int:
-        """Return the index among the stored frames of the frame with this number."""
+        """Return the index at which the frame of this number is stored."""
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
 

@@ -54,7 +54,7 @@ class Pose(NamedTuple):
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Return the semi-axes of the visible contact: those of the contact, with the shorter one half a pixel less.
+        """Return the semi-axes of the visible contact: `semi`, scaled so that the shorter one is half a pixel less.
 
         At that border the contact has lost half of its light.
         """
@@ -62,7 +62,7 @@ class Pose(NamedTuple):
         return self.semi[0] * share, self.semi[1] * share
 
     def reach(self, skin: Array) -> Array:
-        """Return the elliptic radius of skin points (..., 2): below 1 in contact, above 1 outside."""
+        """Return the radius of skin points (..., 2) relative to the contact's ellipse: below 1 in contact."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         a, b = self.seen_axes()
         return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
