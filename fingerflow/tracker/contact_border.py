@@ -28,7 +28,7 @@ class Border(NamedTuple):
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """Select some frames of the border."""
+        """Select the border ellipses of some frames."""
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:

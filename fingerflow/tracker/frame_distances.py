@@ -1,4 +1,4 @@
-"""Distances between frames of a recording, from block means: of the pattern without the light, and of the light."""
+"""Distances between frames, from block means: of the pattern without the light, and of the light."""
 
 from __future__ import annotations
 

@@ -253,7 +253,7 @@ class StreamTracker:
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
         """Prepare a frame for computing; return its work, and the events and outcomes that precede it.
 
-        Events are a seeding, a new key frame or a threshold; the outcome is that of a deferred frame.
+        Events are a seeding or a new key frame; the outcome is that of a deferred frame.
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
@@ -333,8 +333,8 @@ class StreamTracker:
     def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
         """Finalise the deferred frame once its successor has arrived, and return its outcome.
 
-        `following` is None if there is no successor. No threshold is learnt from it and no reseeding or key frame is
-        taken from it: later frames may have begun, and their inputs must not depend on how far they have got.
+        `following` is None if there is no successor. The deferred frame gives no threshold, reseeding or key frame:
+        later frames may have begun, and their inputs must not depend on how far they have got.
         """
         if self._doubtful is None:
             return []

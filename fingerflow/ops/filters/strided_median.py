@@ -56,7 +56,7 @@ def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
 
 
 def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]:
-    """Merge the sorted columns of each window, `count` pixels each, into one sorted column; they lie along axis 1."""
+    """Merge the sorted columns of each window (along axis 1, `count` pixels each) into one sorted column."""
     width = columns[0].shape[1]
     if width == 1:
         return columns

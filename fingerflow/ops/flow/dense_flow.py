@@ -357,8 +357,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
     """Compute the residual of a flow on cells: what displacement and illumination leave of the image difference.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
-    gain (B, 2, h, w), of its squares, and of where it was seen (B, 1, h, w). Also the gain of the illumination (B, 1,
-    1, 1).
+    gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
     """
     count = len(coefficients) // len(flow)
     known, inside = template.levels[0].inside, template.inside

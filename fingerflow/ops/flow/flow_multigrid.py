@@ -78,8 +78,7 @@ def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor)
 def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
     """Return the edges between neighbouring pixels: 1 where both lie in the mask, else 0.
 
-    Edges along rows are (B, 1, H, W - 1), along columns (B, 1, H - 1, W). Neighbours in a row are (B, 1, H, W - 1),
-    those in a column (B, 1, H - 1, W).
+    Edges along rows are (B, 1, H, W - 1), along columns (B, 1, H - 1, W).
     """
     return mask[..., 1:] * mask[..., :-1], mask[..., 1:, :] * mask[..., :-1, :]
 

@@ -152,7 +152,7 @@ def _total(values: Tensor) -> Tensor:
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     """Return the misfits z^2 (B, k, N) between points and neighbours, and the harmonic mean (B, 1, N) of 1 + z^2.
 
-    The harmonic mean is over the neighbours. The mean is 1 where there are no neighbours.
+    The mean is over the neighbours, and 1 where there are none.
     """
     distance = (u * u + v * v) * precision
     agreeing = _total(weight / (1 + distance))

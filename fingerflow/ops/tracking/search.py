@@ -159,7 +159,8 @@ def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
 def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
     """Return the sub-pixel offset of the maximum of a parabola through three neighbouring scores.
 
-    The offset from the middle score lies within -1/2 .. 1/2. It is 0 where the scores are equal to within `SEARCH_TIE`.
+    The offset from the middle score lies within -1/2 .. 1/2, and is 0 where the scores are equal to within
+    `SEARCH_TIE`.
     """
     curvature = before - 2 * peak + after
     return (

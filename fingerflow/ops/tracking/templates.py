@@ -477,8 +477,8 @@ def _step(
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
     """Return three sums (B, 3, N) over the residual of each registered window.
 
-    The residual of a window M (P, samples) is D = M - a T - b. These are the sum of D^2, and of D grad D in x and in y:
-    half the differences of D^2 between opposite edges.
+    The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D grad D in x and in y: half
+    the differences of D^2 between opposite edges.
     """
     own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
