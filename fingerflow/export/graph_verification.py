@@ -53,7 +53,7 @@ _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that r
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     """Verify the exported graphs in a folder: compare ONNX Runtime with torch on all test cases.
 
-    Cases have one recording, and also two if the batch is dynamic.
+    Cases have the batch size of the recipe; a dynamic batch is verified with one recording and with two.
 
     Returns:
         The largest differences, one row an output.

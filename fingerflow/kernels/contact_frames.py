@@ -88,8 +88,8 @@ def contact_threshold(
 ) -> Array:
     """Measure the contact threshold (K,) float32: the intensity loss half-way between ridges and valleys.
 
-    The loss is relative to the empty glass. It is computed as by `ops.contact.contact_threshold`, and NaN without
-    contact.
+    The loss is relative to the empty glass. The threshold is computed as by `ops.contact.contact_threshold`, and NaN
+    without contact.
 
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.

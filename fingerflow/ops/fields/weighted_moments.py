@@ -77,7 +77,7 @@ def weighted_moments(
 
 
 class _Columns:
-    """Point data (B, N, F) in the layout in which their product with weights (G, Q, N) is one matrix product.
+    """Point data (B, N, F), arranged so that one product with weights (G, Q, N) sums them over the points.
 
     If one geometry serves all frames (G = 1), the frames are concatenated as columns of one matrix product.
     """
