@@ -10,6 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import CONTACT_N
+from fingerflow.models.skin_onset import since_onset
 from fingerflow.report import half_sphere, strains_at_depth
 from fingerflow.report import simulated_presses as presses
 from fingerflow.report.model_movie import movie_pictures, write_movie
@@ -146,6 +147,18 @@ def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
     ends = [line.get_ydata()[-1] for line in compression.lines]
     assert f"{ends[2] / ends[1]:.3f}" in compression.get_title()
     assert all(end > 0 for end in ends)
+
+
+def test_numbers_of_the_page_on_models(simulated: SimulatedPresses) -> None:
+    """docs/methods/models.md compares them with print; a chain of 251 elements is within 10 % of the page's 1001."""
+    area = np.pi / 4 * (1e3 * simulated.chain.contact_length[-1].numpy()) ** 2
+    np.testing.assert_allclose(area, [70.9, 67.8, 67.5], rtol=0.04)
+    traction = (simulated.chain.traction[-1].abs().sum(-1) / simulated.chain.pressure[-1].sum(-1)).numpy()
+    np.testing.assert_allclose(traction, [0.020, 0.115, 0.121], rtol=0.05)
+    np.testing.assert_allclose(simulated.energy()[-1, 1:], [0.110, 0.031], rtol=0.25)
+    divergence = since_onset(simulated.chain).area_median[-1].numpy()
+    assert divergence[1] == pytest.approx(0.013, abs=0.002)
+    assert abs(divergence[2]) < 0.001
 
 
 def test_the_movie_has_a_picture_a_time(simulated: SimulatedPresses, tmp_path: Path) -> None:
