@@ -13,7 +13,7 @@ _REMEDY = "Write it anew with `fingerflow calibrate`"
 
 
 class CalibrationError(Exception):
-    """Error with the calibration file, what is wrong in it, and the remedy."""
+    """Error in a calibration file: which file, what is wrong in it, and what to do."""
 
 
 class TransformRows(NamedTuple):
@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
-    """Return two whole numbers [first, end) with 0 <= first < end; raise ValueError for any other value."""
+    """Return a range of pixels as integers [first, end) with 0 <= first < end; raise ValueError for any other value."""
     try:
         first, end = (int(value) for value in values)
         whole = (first, end) == tuple(values)
@@ -130,7 +130,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 def _number(value: Any) -> float:
-    """Return a number unchanged: an int stays an int. Raise TypeError for any other value."""
+    """Check that a value is a number and return it unchanged; raise TypeError for any other value."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is no number")
     return value

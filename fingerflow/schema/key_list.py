@@ -45,7 +45,7 @@ class ListedKey(NamedTuple):
 
 
 def key_list() -> list[ListedKey]:
-    """Return every key of a scene of the kind "press", which has all tables."""
+    """Return every key of scene files: those of a scene of the kind "press", which has all tables."""
     tables = {"views": views_of(KINDS["press"]), **SCENE}
     return [key for name, table in tables.items() for key in _keys(table, name)]
 
@@ -72,7 +72,7 @@ _PLAIN: dict[type, str] = {
 
 
 def _words(of: Any) -> str:
-    """Return a type and its range in words."""
+    """Return the type of a key and its range in words, such as "odd whole number ≥ 3"."""
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:

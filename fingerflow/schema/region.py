@@ -1,4 +1,4 @@
-"""Regions of a view as runs of pixels, in pure Python: one rule for `process` and for a stream."""
+"""Regions of a view as runs of pixels, in pure Python, so that `process` and a stream use the same rule."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

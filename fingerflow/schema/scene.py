@@ -49,7 +49,7 @@ class Views(Mapping[str, View]):
 
     @property
     def contact(self) -> View:
-        """Return the view in which contact reduces the light."""
+        """Return the view in which skin in contact with the glass appears dark."""
         return self["contact"]
 
     @property
@@ -204,12 +204,12 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True if markers on a gel are tracked, else None, so that `has` treats it as a key without a value."""
+        """Return True if markers on a gel are tracked, else None, which `Scene.has` treats as a key without a value."""
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if slip is measured by dense flow, else None, as for `soft_sensor`."""
+        """Return True if dense flow measures slip, else None, which `Scene.has` treats as a key without a value."""
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
@@ -241,7 +241,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """Return a scene from the tables and keys of a file that holds several scenes.
+    """Return one scene from its tables and keys in a file that holds several scenes.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -266,7 +266,7 @@ def scene_of_text(text: str, path: Path) -> Scene:
 
 
 def scene_of_settings(settings: str) -> Scene:
-    """Return the scene of a result from the text of :meth:`Scene.as_json` in its attribute `settings`.
+    """Return the scene of a result, rebuilt from the result's attribute `settings`, a text of :meth:`Scene.as_json`.
 
     Raises:
         FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
@@ -285,7 +285,7 @@ def scene_of_settings(settings: str) -> Scene:
 
 
 def _without_none(value: Any) -> Any:
-    """Return the settings without those that are None, which stand for keys that were left out."""
+    """Return settings without the keys whose value is None, which were left out in the scene file."""
     if isinstance(value, dict):
         return {name: _without_none(one) for name, one in value.items() if one is not None}
     return value

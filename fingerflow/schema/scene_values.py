@@ -28,11 +28,11 @@ _TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
-    """Error with a message that follows "KEY is VALUE: "."""
+    """Error for an invalid setting, whose message continues the text "KEY is VALUE: "."""
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """Return a TOML value in the type of its key: numbers as float, ranges and matrices as tuples; raise WrongValue."""
+    """Convert a TOML value to the type of its key: float for numbers, tuples for ranges, matrices; raise WrongValue."""
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -66,7 +66,7 @@ def value_of(kind: Type, value: Any) -> Any:
 
 
 def either(words: Iterable[str]) -> str:
-    """Return words as "'a', 'b' or 'c'"."""
+    """Return alternatives as text: "'a', 'b' or 'c'"."""
     *others, last = map(repr, words)
     return f"{', '.join(others)} or {last}" if others else last
 

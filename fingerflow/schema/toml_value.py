@@ -1,4 +1,4 @@
-"""Values as they are written in TOML files."""
+"""Formatting of Python values as TOML."""
 
 import json
 from collections.abc import Mapping

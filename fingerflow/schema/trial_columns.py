@@ -23,7 +23,7 @@ _LARGEST = "the largest of the trial"
 
 
 class AtMoments(NamedTuple):
-    """Quantity at every moment.
+    """Quantity of a trial that the table of trials lists at several moments, one column each.
 
     Attributes:
         name: of the column without a suffix.

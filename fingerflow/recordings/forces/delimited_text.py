@@ -15,7 +15,7 @@ from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read,
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return all columns of a file.
+    """Return all columns of a text file of forces.
 
     The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
     separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.
@@ -86,7 +86,7 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
-    """Return names and units of the columns, and whether the line below the heading holds units."""
+    """Return names and units of the columns in the heading, and whether the line below it holds units."""
     names, units = [], {}
     for cell in cells:
         name, unit = split_unit(cell)

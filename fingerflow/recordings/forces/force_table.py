@@ -1,4 +1,4 @@
-"""Table of force columns as they stand in a file, the common result of all readers of forces."""
+"""Table of the columns of a force file, the common result of all readers of forces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class ForceTable:
-    """Columns of a file of forces, before channels are chosen.
+    """Columns of a force file as stored, before channels are selected.
 
     `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `warnings`:
     sentences for the user.

@@ -60,7 +60,7 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """Return the same forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
+        """Return the forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.
@@ -155,7 +155,7 @@ class Forces:
 
 
 def _rate(times: Samples) -> float | None:
-    """Return the median rate in Hz, which a gap or a late sample does not change; None for fewer than two times."""
+    """Return the sample rate in Hz by the median step, unaffected by gaps; None for fewer than two times."""
     steps = np.abs(np.diff(np.sort(times)))
     steps = steps[steps > 0]
     return 1.0 / float(np.median(steps)) if steps.size else None

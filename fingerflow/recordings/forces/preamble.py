@@ -1,4 +1,4 @@
-"""Preambles of text files before the table: headers of LabVIEW measurement files, notes of other programs."""
+"""Preambles of text files before their table: headers of LabVIEW measurement files, notes of other programs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RUN = 3  # consecutive lines of numbers that identify a table
 
 
 class Content(NamedTuple):
-    """Table of a file: its text from the heading on; sample rate in Hz and start in s if the preamble states them."""
+    """Table of a text from its heading on; sample rate in Hz and start in s if the preamble states them."""
 
     text: str
     sample_rate: float | None = None
@@ -78,13 +78,13 @@ def _of_labview(path: Path, text: str) -> Content:
 
 
 def is_read(line: str) -> bool:
-    """Return whether a line is neither blank nor a comment."""
+    """Return whether a line of the text is data or heading, that is neither blank nor a comment."""
     begun = line.lstrip()
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
 def separator_of(line: str) -> str | None:
-    """Return the separator of the cells of a line; None for blanks, between which commas are decimal commas."""
+    """Return the separator of the cells of a line; None for blanks, between which a comma is a decimal comma."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)

@@ -15,7 +15,7 @@ _ONES = 0xFFFFFFFF
 
 
 def slices_are_whole(packet: bytes) -> bool:
-    """Return whether all checksums of a packet are valid; False too if it has none (version 1, or `slicecrc=0`)."""
+    """Return whether all checksums of an FFV1 packet are valid; False if it has none (version 1, or `slicecrc=0`)."""
     end = len(packet)
     while end > _FOOTER:
         size = int.from_bytes(packet[end - _FOOTER : end - _FOOTER + 3], "big") + _FOOTER
