@@ -1,4 +1,4 @@
-"""Calibration of a rig: millimetres per pixel, and the transform from one view to the other."""
+"""Calibration of a rig: millimetres per pixel, and the transform from the topography to the contact view."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -60,7 +60,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration in a file with the text of `to_toml`.
+        """Return the calibration stored in a file that holds a text of `to_toml`.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """
@@ -94,7 +94,7 @@ def _section(title: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """Format numbers, also NumPy's, and lists of them for TOML, at full precision."""
+    """Format a number, also one of NumPy, or a list of numbers for TOML, at full precision."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(_written, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))

@@ -1,4 +1,4 @@
-"""Sub-pixel fit of one dark disc: an ellipse fitted to its edge.
+"""Sub-pixel measurement of one dark disc by an ellipse fitted to its edge.
 
 The image is unwrapped along the current ellipse: rows are angles, columns are radii. In the unwrapped image the edge is
 a straight line, so smoothing along and across it does not shift it inwards. Smoothing the image itself would (by
@@ -49,17 +49,18 @@ class Disc:
 
     @property
     def radius_px(self) -> float:
-        """Return the radius of the circle of equal area."""
+        """Return the radius, px, of the circle with the disc's area."""
         return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
 
     @property
     def axis_ratio(self) -> float:
-        """Return the shorter over the longer axis, at most 1."""
+        """Return the ratio of the disc's shorter to its longer semi-axis, at most 1."""
         return self.semi_axes_px[1] / self.semi_axes_px[0]
 
 
 def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Disc | None:
-    """Fit the dark disc in an image (H, W) near a guessed circle, whose centre is in the image.
+    """Fit an ellipse to the edge of the dark disc in an image (H, W) near a guessed circle, whose centre is in the
+    image.
 
     Returns None if there is no edge around it, or if the fit diverges from the guess.
     """
@@ -92,7 +93,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 
 class _Unwrapped:
-    """Grey levels (rays, radii) of an image around an ellipse {p : |inverse (p - middle)| = 1}.
+    """Image in polar coordinates: grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}.
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
@@ -119,7 +120,7 @@ class _Unwrapped:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return the steepest point of every ray (N, 2) and its angle (N,); rays without one are left out."""
+        """Return the edge position (N, 2), the steepest point, and angle (N,) of each ray that has an edge."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
@@ -175,7 +176,8 @@ def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, A
 
 
 def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array]:
-    """Return signed distances (N,) px to the ellipse, to first order (Sampson 1982), and their Jacobian (N, 5).
+    """Return signed distances (N,) px of points to the ellipse, to first order (Sampson 1982), and their Jacobian (N,
+    5).
 
     The unknowns are the centre (x, y) and the symmetric inverse shape (xx, xy, yy), which, unlike axes and an angle, is
     regular at a circle.
@@ -198,7 +200,7 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Return the standard deviation (px) of the centre from the contour's raggedness (see RAGGEDNESS_HARMONICS)."""
+    """Return the standard deviation (px) of the disc's centre, from the contour's raggedness (RAGGEDNESS_HARMONICS)."""
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

@@ -135,7 +135,7 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 
 
 def _visible(image: Array) -> NDArray[np.uint8]:
-    """Return 8 bits with uneven light removed on the scale of an eighth of the view; for display only."""
+    """Return an 8-bit image for display, with uneven light removed on the scale of an eighth of the view."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
@@ -145,7 +145,7 @@ def _visible(image: Array) -> NDArray[np.uint8]:
 
 
 def _even(image: Array) -> NDArray[np.uint8]:
-    """Return 8 bits with uniform mean and contrast, so that two views under different lamps can be compared."""
+    """Return an 8-bit image of uniform mean and contrast, so that views under different lamps can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     # Applied twice, to remove the remaining slope of the light.
     level = smooth - _blurred_over_light(smooth)

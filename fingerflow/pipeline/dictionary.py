@@ -1,4 +1,4 @@
-"""Dictionary of outputs: every variable with its unit, definition, equation and stage."""
+"""Dictionary of outputs: every result variable with its unit, definition, equation and stage."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
-    """Description of one variable.
+    """Description of one result variable.
 
     Attributes:
         units: of the data set; ``shown_unit`` that of figures, reports and pages, "" if dimensionless.
@@ -43,7 +43,7 @@ class DictionaryEntry(NamedTuple):
 
 
 def dictionary() -> tuple[DictionaryEntry, ...]:
-    """Return all variables, stage by stage in the order in which these run."""
+    """Return the descriptions of all result variables, in the order of the stages that compute them."""
     return tuple(
         DictionaryEntry(
             variable.name,

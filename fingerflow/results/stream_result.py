@@ -1,4 +1,4 @@
-"""Conversion of the folder of a played stream to a labelled data set like that of `process`."""
+"""Conversion of a stream's results folder to a labelled data set like that of `process`."""
 
 import json
 from pathlib import Path
@@ -56,7 +56,7 @@ def _labelled(results: StreamResults) -> xr.Dataset:
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
-    """Return the variables in the records, and those derived from them."""
+    """Return the variables stored in the records of a stream, and variables derived from them."""
     records, header = results.records, results.header
     points = max(chosen, default=0)
     found: dict[str, Array] = {}

@@ -113,7 +113,7 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Return values (k, n) at `times` (n,) resampled to (k, m) at the frames; NaN where unknown."""
+        """Resample values (k, n) from `times` (n,) to frame times `wanted` (m,); NaN outside samples and in gaps."""
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate

@@ -1,4 +1,4 @@
-"""Export of tables and maps to files, by their suffix."""
+"""Export of tables and maps to files whose format follows from the suffix."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -81,7 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file is a table or map of this module, by its first bytes, its variables, or its tags."""
+    """Return whether a file is a table or map written by this module, by its first bytes, variables or tags."""
     try:
         if path.suffix == ".mat":
             return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}

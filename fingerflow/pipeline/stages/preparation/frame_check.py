@@ -26,7 +26,7 @@ _SAID = {
 
 
 class FrameCheckStage(Stage):
-    """Detection of unusable frames by block means of some 20,000 pixels of the contact and topographic views each.
+    """Stage that detects unusable frames from block means of some 20,000 pixels of each view.
 
     An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
     been recorded.
@@ -83,7 +83,7 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """Compute distances of the waiting frames of a view to the frames before them."""
+        """Compute distances between collected frames of a view and the frames before them, from their block means."""
         blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
         self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]
@@ -94,7 +94,7 @@ class FrameCheckStage(Stage):
         self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
-        """Set the status of each frame and warn of unusable ones. Raises FingerflowError where no frame is usable."""
+        """Set the status of each frame and warn of unusable frames. Raises FingerflowError where no frame is usable."""
         status = self._status
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
@@ -137,7 +137,7 @@ class FrameCheckStage(Stage):
 
 
 def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return block means (n, rows, columns) of frames (n, H, W)."""
+    """Return the block means (n, rows, columns) of frames (n, H, W)."""
     return block_means(frames)[0]
 
 
