@@ -136,7 +136,7 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the contrast (outside - inside) / outside, and the mean step over its spread from ray to ray."""
+        """Return the disc's contrast (outside - inside) / outside, and its brightness step over the spread of rays."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
@@ -154,7 +154,7 @@ class _Unwrapped:
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Fit by robust geometric least squares (Gauss-Newton); return (middle, inverse, weights), or None if it fails."""
+    """Fit an ellipse to edge points by robust Gauss-Newton least squares: (middle, inverse, weights), or None."""
     if len(points) < 12:
         return None
     # Few iterations suffice: the next unwrapping starts from this result.

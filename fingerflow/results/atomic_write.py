@@ -51,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether a file contains `MARK` in its first or last MiB, where pages, PNG and MP4 hold their metadata."""
+    """Return whether the first or last MiB of a file, where HTML, PNG and MP4 hold metadata, contains the `MARK`."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)

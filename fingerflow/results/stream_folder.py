@@ -117,7 +117,7 @@ class Sink:
         self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
-        """Create the folder. Raises PlayerError where it exists or cannot be created; nothing is left behind then."""
+        """Create the results folder; raise PlayerError where it exists or cannot be created and leave nothing."""
         with self._said():
             self._make()
         self._made = True

@@ -300,7 +300,7 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of steps between successive indices. For a few indices a Python loop is faster than NumPy."""
+    """Return the set of steps between successive frames. For a few indices a Python loop is faster than NumPy."""
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}

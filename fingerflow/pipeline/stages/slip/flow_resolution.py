@@ -1,4 +1,4 @@
-"""Measurement of how dense flow blurs the border of a stick region, on the reference picture of the flow."""
+"""Measurement of how dense flow blurs the border of a stick region, on the flow's reference picture."""
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Flow measured for a displacement x^p beyond a border: a `models.partial_slip.stick_border.Seen`.
+    """Blurred displacement that dense flow measures beside a border beyond which the true displacement is x^p at x mm.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
@@ -47,7 +47,7 @@ class FlowResponse:
         self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the measured displacement, mm^p, at distances (K,) mm from the border.
+        """Return the displacement that the flow measures, mm^p, at signed distances (K,) mm beyond the border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
@@ -64,7 +64,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean excess (K,) px of the flow along an axis over the true displacement.
+    """Return the mean error (K,) px of the flow along an axis: measured less true displacement of a displaced picture.
 
     `distances` (K,) px are beyond the border.
     """

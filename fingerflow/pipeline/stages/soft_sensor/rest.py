@@ -17,14 +17,14 @@ Points = NDArray[np.float64]
 
 
 class Rest(NamedTuple):
-    """Frame at rest, and mask (F,) of the frames that look like it."""
+    """Frame in which the gel is at rest, and mask (F,) of all frames with the same marker positions."""
 
     frame: int
     alike: NDArray[np.bool_]
 
 
 def find_rest(frames: list[Points]) -> Rest:
-    """Return the frame at rest, from the positions (M, 2) px of the markers in every frame.
+    """Find the frame in which the gel is at rest, from the marker positions (M, 2) px in every frame.
 
     States are sets of frames whose markers have the same positions, to a fiftieth of their spacing. Rest is the most
     frequent state, unless another one that lasts for a tenth of the recording is clearly more even: an object that is

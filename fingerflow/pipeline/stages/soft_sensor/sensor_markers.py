@@ -1,4 +1,4 @@
-"""Markers of a soft sensor: detected in every frame, then tracked from the gel at rest."""
+"""Markers of a soft sensor, detected in every frame and then matched to those of the frame at rest."""
 
 import math
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Seen(NamedTuple):
 
 
 class MarkerStage(Stage):
-    """Detection of markers in each frame independently, followed by their matching to the frame at rest.
+    """Stage that detects markers in each frame independently, and then matches them to those of the frame at rest.
 
     Matching uses only lists of positions. It goes forward and backward in time from the frame at rest, which need not
     be the first one.
@@ -93,18 +93,18 @@ class MarkerStage(Stage):
             self.take(self.see(frame))
 
     def see(self, frame: Tensor) -> Seen:
-        """Return the markers detected in a frame (1, 1, h, w) of the view."""
+        """Detect the markers in one frame (1, 1, h, w) of the view."""
         markers = detect_markers(frame, self.look)
         known = markers.points[0].isfinite().all(-1)
         parts = (markers.points, markers.covariance, markers.disagreement)
         return Seen(*(one[0, known].double().cpu() for one in parts))
 
     def take(self, seen: Seen) -> None:
-        """Append the markers of the next frame."""
+        """Append the detected markers of the next frame."""
         self._seen.append(seen)
 
     def finish(self) -> None:
-        """Find the frame at rest and match the markers from there.
+        """Find the frame at rest, and match the markers of all frames to it.
 
         Raises FingerflowError where fewer than 3 markers are detected in that frame.
         """
@@ -149,7 +149,7 @@ class MarkerStage(Stage):
         return numbers
 
     def _that_come_in(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """Return the inferred rest positions (K, 2) of markers that are out of view at rest."""
+        """Return inferred rest positions (K, 2) px of markers that lie outside the view at rest and enter it later."""
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
             mine = number[number >= 0]

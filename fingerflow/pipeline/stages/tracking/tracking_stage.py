@@ -30,7 +30,7 @@ MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a
 
 
 class TrackingStage(Stage):
-    """Tracking of points from frame to frame, forward or backward in time.
+    """Stage that tracks points from frame to frame, forward or backward in time.
 
     With key frames every frame is compared with the first one, whose template is deformed by the motion gradient found
     so far: errors do not accumulate. With the previous frame as template they do.
@@ -78,7 +78,7 @@ class TrackingStage(Stage):
         return self._settings.direction == "backward"
 
     def begin(self) -> None:
-        """Find the contact region in which to seed points; warn where there is no contact, hence no points."""
+        """Find the contact region in which to seed points; warn if there is no contact and therefore no points."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
@@ -93,7 +93,7 @@ class TrackingStage(Stage):
             self._create(0)
 
     def step(self, batch: Batch) -> Any:
-        """Track points through these frames, in the given order; unusable frames are skipped."""
+        """Track all points through a batch of frames, in the given order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
@@ -108,7 +108,7 @@ class TrackingStage(Stage):
                 self._pass_over(indices)
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Skip unusable frames: the expected positions of points move on with their speed."""
+        """Skip unusable frames; each point's expected position moves on with its last speed."""
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -182,7 +182,8 @@ class TrackingStage(Stage):
         return self._add(image, points, np.zeros(0, np.intp))
 
     def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
-        """Add points seeded in an image, guided by earlier points of indices `numbers`; return them (1, N) there.
+        """Register newly seeded points, guided by the earlier points `numbers`; return their results (1, N) in this
+        image.
 
         `more` are the positions of the earlier points, and the motion of the new ones.
         """
@@ -221,7 +222,7 @@ class TrackingStage(Stage):
         return self._add(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
+        """Extend the results by `more` points and return whether that was possible; warn if a limit is reached."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
@@ -239,7 +240,7 @@ class TrackingStage(Stage):
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
-        """Return the picture in which Willemet et al. (2021, figure S3 B) seed points.
+        """Return the image with enhanced contrast in which Willemet et al. (2021, figure S3 B) seed points.
 
         It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
         others 0.0282, and as many lie on dust.
@@ -253,7 +254,7 @@ class TrackingStage(Stage):
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
     def _where(self) -> NDArray[np.bool_]:
-        """Return the seeding region (h, w) bool.
+        """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
         `stream.region`, so that a stream seeds the same points. Otherwise it is the contact region found by `begin`.
@@ -277,7 +278,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Return points that are seeded (1, N) in the last of so many frames as values in all of these frames."""
+    """Extend points seeded in the last of several frames, (1, N), to all of these frames; they are NaN before."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
