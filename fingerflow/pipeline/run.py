@@ -157,7 +157,7 @@ def steps_to(
 
 @dataclass(frozen=True)
 class _Way:
-    """Options of a run: progress bar, decoding ahead in a second thread, and an earlier result to reuse."""
+    """Options of a run: progress bar, next batch processed ahead in a second thread, and an earlier result to reuse."""
 
     progress: bool = False
     ahead: bool = False

@@ -39,7 +39,7 @@ def spare(output: Path, *inputs: Path | None) -> None:
 
 
 def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
-    """Check that writing an output replaces no file of another program.
+    """Check that an output replaces no file that this command has not written.
 
     Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
     """

@@ -117,7 +117,7 @@ class Sink:
         self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
-        """Create the results folder; raise PlayerError where it exists or cannot be created and leave nothing."""
+        """Create the results folder, as a whole or not at all; raise PlayerError if it exists or cannot be made."""
         with self._said():
             self._make()
         self._made = True

@@ -232,7 +232,7 @@ class _Check:
             self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
-        """Set scale and transform to those of the calibration file; record a problem if the scene states them too."""
+        """Set scale and transform to those of the calibration file; record conflicting keys, or a missing scale."""
         place, _, name = rule.key.rpartition(".")
         if rule.key not in self.given:
             if place in self.given and rule.needed not in self.given:

@@ -1,4 +1,4 @@
-"""Camera model: grey levels with shot noise, read noise, defective pixels and quantisation."""
+"""Model of a camera: grey levels with shot noise, read noise, defective pixels and quantisation."""
 
 from dataclasses import dataclass
 
@@ -38,13 +38,13 @@ class Camera:
 
     @property
     def full_range(self) -> int:
-        """Return the largest grey level."""
+        """Return the camera's largest grey level."""
         result: int = 2**self.bit_depth - 1
         return result
 
     @property
     def levels(self) -> float:
-        """Return the number of this camera's grey levels in one 8-bit grey level."""
+        """Return how many grey levels of this camera correspond to one 8-bit grey level."""
         return self.full_range / 255
 
     def expose(self, light: Tensor) -> Tensor:
@@ -59,7 +59,8 @@ class Camera:
         return (clean - dark).clamp(min=0) * shot + at_half * (1 - self.shot_share)
 
     def read_out(self, clean: Tensor, picture: int, defects: View | None = None) -> NDArray[np.integer]:
-        """Return the image (H, W) that the camera delivers; the same `picture` number always gives the same noise.
+        """Return the noisy image (H, W) that the camera delivers; the same `picture` number always gives the same
+        noise.
 
         Args:
             clean: noise-free grey levels (H, W).

@@ -26,7 +26,7 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """A press whose skin moves as a skin chain of revolution, under a force that rises as sin² and is then held.
+    """Press whose skin moves as a skin chain turned about its axis, under a force that rises as sin² and is then held.
 
     Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
     persists. Settings that all scenes share are those of `SyntheticScene`.
@@ -51,7 +51,7 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain(self) -> Chain:
-        """Return the chain at evenly spaced times of the rise, from first contact to full force."""
+        """Return the simulated skin chain at evenly spaced times from first contact to full force."""
         time = torch.linspace(0, self.rise_time, _TIMES, dtype=torch.float64)
         load = torch.from_numpy(self.normal_force(time.numpy() + self.contact_time))
         skin = named(self.parameters).softer(self.softness)
@@ -96,7 +96,7 @@ class ChainPress(SyntheticScene):
 
 @dataclass(frozen=True, eq=False)
 class RadialMotion:
-    """A growing disc of contact under skin that spreads from its centre, both given by splines.
+    """Motion of a contact disc that grows while skin spreads radially from its centre, both given by splines.
 
     Progress is the elapsed share of the rise. With r the distance from the centre, material = position (1 - s), where
     s(r, progress) is a bicubic spline, even in r. The square of the disc's radius is a cubic spline of progress. Both
@@ -150,7 +150,8 @@ class RadialMotion:
 
 
 def _evened(values: Array) -> Array:
-    """Smooth the chain's values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
+    """Smooth values (T, ...) of the chain by a least-squares spline, and return the spline at K + 1 evenly spaced
+    times.
 
     The values at first contact are kept.
     """
@@ -161,7 +162,7 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients for values on a grid, mirrored at its ends and padded by one on each side."""
+    """Return the cubic spline coefficients for values on a grid, with mirrored ends and one more on each side."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 

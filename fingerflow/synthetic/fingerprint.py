@@ -18,7 +18,7 @@ BOW = 15.0
 
 @dataclass(frozen=True)
 class FingerprintTexture:
-    """A fingerprint in material coordinates (mm, x right, y down, the tip of the finger up).
+    """Fingerprint as a function of material coordinates (mm, x right, y down, fingertip up).
 
     Grey level and contact are a formula, defined at every real-valued position and continuously differentiable. Ridge
     endings and bifurcations follow from the formula (`ridge_pattern`), about one in 3 mm². Ridges touch above a height.
@@ -80,7 +80,7 @@ class FingerprintTexture:
         return touching * (self.period / (2 * math.pi))
 
     def ridges(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the height of the ridges inside (-1, 1) at (x, y), 1 on a crest."""
+        """Return the ridge height, within (-1, 1) and 1 on a crest, at material positions (x, y), mm."""
         across, down = x - self.centre[0], y - self.centre[1]
         right = add_waves(across, self._waves["right"], 0.06, x, y)
         below = add_waves(down - across.square() * (0.5 / BOW), self._waves["down"], 0.06, x, y)

@@ -1,4 +1,4 @@
-"""Skin from an image of a fingerprint: a spline through its pixels, defined at every real-valued position."""
+"""Skin from an image of a fingerprint: a spline through its pixels, defined at every position."""
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -35,7 +35,7 @@ LEAST_SLOPE = 1.0
 
 
 class Levels(NamedTuple):
-    """Coefficients (rows, columns) of cubic splines over an image and its border, and the image's shape.
+    """Spline coefficients (rows, columns) of an image and its border, for contrast and contact, and the image's shape.
 
     `contrast` is the skin's; `touching`, positive where the skin touches, is scaled so that ridge and glass differ by
     1.
@@ -48,7 +48,7 @@ class Levels(NamedTuple):
 
 @dataclass(frozen=True)
 class PictureTexture:
-    """Skin from an image of a fingerprint, with dark touching ridges on bright glass as optical sensors deliver it.
+    """Skin from an image of a fingerprint with dark touching ridges on bright glass, as optical sensors deliver it.
 
     The image is corrected for uneven light and pressure within a ridge distance, blurred by 0.7 of its pixels and
     interpolated by a cubic spline, so grey level and contact are known everywhere and twice continuously
@@ -101,14 +101,14 @@ class PictureTexture:
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Return column and row of positions (mm), in pixels of the image with its border."""
+        """Convert material positions (mm) to column and row in the image with its border."""
         rows, columns = self._levels.shape
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a press or slide of the finger in an image, as near the centre of its print as the contact fits in.
+    """Return a press or slide of the finger in an image, centred as near the print's centre as the contact allows.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
@@ -132,13 +132,13 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
 
 
 def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
-    """Return material positions (64, 2) in mm under the edge of the apparent contact; none (0, 2) before contact."""
+    """Return material positions (64, 2) in mm under the edge of the apparent contact; (0, 2) before contact."""
     ellipse = scene.truth.ellipse(frame)
     return np.zeros((0, 2)) if ellipse is None else scene.truth.material(ellipse.edge(64), frame)
 
 
 def _middle(texture: PictureTexture) -> Plane:
-    """Return the centre (x, y) in mm of the ridges in an image whose own centre is at 0."""
+    """Return the centre (x, y) in mm of the touching ridges, relative to the centre of the image."""
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
@@ -178,19 +178,19 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _fading(count: int, period: float) -> Plane:
-    """Return a window over a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
+    """Return a window function over `count` pixels that rises from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return the brightest level within a ridge distance: that of glass or of a valley."""
+    """Return at each pixel the brightest level within a ridge distance, that of glass or of a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:
-    """Return the ridge distance in pixels: the peak of the spectrum's power over rings, from 4 to 40 px."""
+    """Return the ridge distance in pixels, 4 to 40: the peak of the radial power spectrum."""
     flat = plane - gaussian_filter(plane, 12.0)
     if flat.std() < 1e-3 * max(np.ptp(plane), 1.0):
         raise FingerflowError(f"{picture} shows no ridges; give a picture of a fingerprint")
@@ -204,13 +204,13 @@ def _ridge_distance(plane: Plane, picture: Path) -> float:
 
 
 def _coefficients(plane: Plane, outside: float) -> Tensor:
-    """Return the coefficients of the cubic spline through a plane with a constant border."""
+    """Return the coefficients of a cubic spline through an image that is padded with a constant border."""
     around = np.pad(plane, SURROUND, constant_values=outside)
     return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
 
 
 def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a cubic spline's value at positions in px and its derivatives by column and row (1/px).
+    """Return the values of a cubic spline at positions in px, and its derivatives by column and row (1/px).
 
     Beyond the spline its value at the border is used.
     """

@@ -31,7 +31,7 @@ TOLERANCE = 1e-13
 
 @dataclass(frozen=True)
 class Medians:
-    """Medians over the apparent contact of one frame; NaN before contact.
+    """True medians over the apparent contact of one frame; NaN before contact.
 
     Displacement and gradients count from the onset of each point. Divergence, curl = dv/dx - du/dy and the full
     Green-Lagrange strain (exx, eyy, exy) are dimensionless; the displacement is in mm, its median per component.
@@ -48,7 +48,7 @@ class Medians:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact values of the quantities that a pipeline measures in a scene."""
+    """Exact values of the quantities that a pipeline measures in a synthetic scene."""
 
     motion: SkinMotion
     progress: Array  # (frames,) of the movement, never falling
@@ -63,32 +63,32 @@ class Truth:
     # Views
 
     def contact_pixels(self, positions: ArrayLike) -> Array:
-        """Return the pixels of the contact view (..., 2) at positions (..., 2) in mm."""
+        """Convert positions (..., 2) from mm on the glass to px of the contact view."""
         return np.asarray(positions, dtype=np.float64) / self.mm_per_px
 
     def contact_positions(self, pixels: ArrayLike) -> Array:
-        """Return the positions in mm at pixels of the contact view."""
+        """Convert positions (..., 2) from px of the contact view to mm on the glass."""
         return np.asarray(pixels, dtype=np.float64) * self.mm_per_px
 
     def topography_pixels(self, positions: ArrayLike) -> Array:
-        """Return the pixels of the topography view (..., 2) at positions (..., 2) in mm."""
+        """Convert positions (..., 2) from mm on the glass to px of the topography view."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
         return (self.contact_pixels(positions) - offset) @ np.linalg.inv(matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
-        """Return the positions in mm at pixels of the topography view."""
+        """Convert positions (..., 2) from px of the topography view to mm on the glass."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
         return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ matrix.T + offset)
 
     # Motion
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
-        """Return material coordinates (mm) of the skin at positions (..., 2) in a frame."""
+        """Return the material coordinates (mm) of the skin at positions (..., 2) on the glass in a frame."""
         x, y = _points(positions).unbind(-1)
         return torch.stack(self.motion.material(x, y, self._at(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
-        """Return positions (mm) of material points (..., 2) in a frame."""
+        """Return the positions (mm) on the glass of material points (..., 2) in a frame."""
         points = _points(material)
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
@@ -100,18 +100,18 @@ class Truth:
     # Contact
 
     def ellipse(self, frame: int) -> Ellipse | None:
-        """Return the apparent contact in mm, None before contact."""
+        """Return the edge of the apparent contact in a frame, mm; None before contact."""
         return self.motion.ellipse(float(self.progress[frame]))
 
     def gross_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return True for each pixel centre of the contact view (H, W) inside the apparent contact."""
+        """Return the mask (H, W) of pixels of the contact view whose centre lies in the apparent contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self.contact_shape, dtype=bool)
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return True for each pixel centre of the contact view (H, W) on a ridge in contact."""
+        """Return the mask (H, W) of pixels of the contact view whose centre lies on a ridge in contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self.contact_shape, dtype=bool)
@@ -144,7 +144,7 @@ class Truth:
         return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement (..., 2) in mm since the onset, or since frame `reference`.
+        """Return the displacement (..., 2) in mm of material points since their onset, or since frame `reference`.
 
         It is NaN before the onset and for points without one.
         """
@@ -152,7 +152,7 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement gradient (..., 2, 2) since the onset, with respect to the onset position.
+        """Return the displacement gradient (..., 2, 2) since the onset, by the positions of onset.
 
         With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
         F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
@@ -164,7 +164,7 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient (..., 2, 2) with the neighbourhood taken from the point's own onset on.
+        """Return the displacement gradient (..., 2, 2) of each point's neighbourhood since the point's own onset.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -174,7 +174,7 @@ class Truth:
         return self._gradient_from(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
-        """Return medians over a square grid of positions in the apparent contact of a frame.
+        """Return true medians over the apparent contact of a frame, from positions on a square grid.
 
         They count since the onset of each point, or since frame `reference`; positions without a gradient are ignored.
         """
@@ -240,7 +240,7 @@ class Truth:
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
-        """Return F (..., 2, 2) of material points in a frame."""
+        """Return the deformation gradient F (..., 2, 2) of material points in a frame."""
         progress = self._at(frame).expand(points.shape[:-1])
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
@@ -280,7 +280,8 @@ class Truth:
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN if never.
+        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN for points
+        that never do.
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """
@@ -320,7 +321,7 @@ def _points(values: ArrayLike) -> Tensor:
 
 
 def _inverse(matrix: Tensor) -> Tensor:
-    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate where LAPACK would raise."""
+    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate, where LAPACK would raise an exception."""
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
     return adjugate / _determinant(matrix)[..., None, None]

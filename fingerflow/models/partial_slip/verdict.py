@@ -1,4 +1,4 @@
-"""Classification of a trial: does the stuck area vanish at once, or does it fade?"""
+"""Classification of a trial of tangential loading: does the stuck area vanish abruptly or diminish?"""
 
 import math
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Result of `judge_trial` with every number behind it; NaN or -1 where a number could not be computed.
+    """Classification of a trial with the numbers behind it; NaN or -1 where a number could not be computed.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
@@ -72,14 +72,15 @@ class TrialVerdict:
     frames_missing: int = 0
 
     def loading(self) -> slice:
-        """Return the frames of slow loading, before the collapse, to which a friction law may be fitted."""
+        """Return the range of frames of slow loading, before the collapse, to which a friction law may be fitted."""
         return slice(0, self.collapse_frame + 1)
 
 
 def judge_trial(
     stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, critical_area_std: float = 0.0
 ) -> TrialVerdict:
-    """Decide whether a trial has a minimal adhesion area: the corridor rule of Terekhov & Hayward 2011, section 3.
+    """Decide whether the stuck area of a trial has a minimal size before it vanishes: corridor rule of Terekhov &
+    Hayward 2011, section 3.
 
     The rule takes T/N just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it.
     The paper states that a minimal area exists if that d^2 is above 0.05. There its curve for equal coefficients, d^2 =
@@ -205,7 +206,7 @@ def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
 
 
 def _smoothed(values: Values, width: int) -> Values:
-    """Return the running median over the finite values; the others stay NaN."""
+    """Return the running median of a series over its finite values; other values stay NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = median_filter(values[finite], size=width, mode="nearest")
@@ -213,7 +214,7 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _complete_loss(area: Values) -> int | None:
-    """Return the first frame from which on d^2 is at most 0.05 up to the end; None if there is none."""
+    """Return the first frame after which the stuck area share d^2 stays at 0.05 or less up to the end; None if none."""
     known = np.flatnonzero(np.isfinite(area))
     still = np.flatnonzero(area[known] > SMALLEST_AREA)
     after = still[-1] + 1 if still.size else 0
@@ -221,7 +222,7 @@ def _complete_loss(area: Values) -> int | None:
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
-    """Return the measured frames before the loss, back to the last one with T/N outside of the corridor."""
+    """Return the frames just before the loss of adhesion in which T/N stays inside the corridor around `reference`."""
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known

@@ -49,7 +49,7 @@ class RunContext:
     stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
-        """Return the instance of this class, which runs beside or ran before."""
+        """Return the run's stage of a class, or the stage that replaces it; it runs in this or an earlier pass."""
         found = self.stages[kind]
         assert isinstance(found, kind)
         return found

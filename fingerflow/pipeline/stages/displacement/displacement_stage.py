@@ -206,7 +206,7 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement of frames (n,) since each point's touch; they follow those that `touch` has seen."""
+        """Return the displacement since each point's touch in frames `indices` (n,), which continue earlier ones."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch

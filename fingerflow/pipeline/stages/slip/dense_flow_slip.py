@@ -99,7 +99,7 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return the response of the flow, measured on the first picture; this also prepares the flow."""
+        """Measure how the flow blurs a stick region's border, on the first picture; this also prepares the flow."""
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
@@ -136,7 +136,7 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Compare points (N, 2) mm with the flow (N, 3) px at their positions, in mm and in standard deviations."""
+        """Store distances between displacements of points (N, 2) mm and the flow (N, 3) px, in mm and deviations."""
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():
@@ -193,13 +193,13 @@ class DenseFlowSlipStage(SlipStage):
         return column, row
 
     def _pixels_of(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
-        """Return the mask (H, W) of pixels in the cells known by points, or within a margin of `_BESIDE_PX`."""
+        """Return the mask (H, W) of pixels in cells with a displacement known by points, plus a margin `_BESIDE_PX`."""
         near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
         return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8)) > 0)
 
     def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
-        """Return pixel values (H, W, 2) of cells (rows, columns, 2); unknown cells have the nearest known value."""
+        """Interpolate values of cells (rows, columns, 2) to pixels (H, W, 2); unknown cells take the nearest value."""
         row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
         at = self._columns_and_rows(grid, shape)
         wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -55,7 +55,7 @@ class SlipGrid:
         )
 
     def displacement(self, moved: Array) -> Field:
-        """Return displacement (rows, columns, 2) mm from that (N, 2) of the points, NaN where lost; 0 if unknown."""
+        """Interpolate displacements (N, 2) mm of points, NaN if lost, to cells (rows, columns, 2); 0 if unknown."""
         result = np.zeros((*self.known.shape, 2), np.float32)
         result[self.known] = self._surface(moved)
         return result

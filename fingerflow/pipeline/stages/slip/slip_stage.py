@@ -125,7 +125,7 @@ class SlipStage(Stage):
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
-        """Accumulate the data for the fit of the border, and compute the share of the contact that is known."""
+        """Add a batch of frames to the fit of the stick border, and compute which share of the contact is tracked."""
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
@@ -144,11 +144,11 @@ class SlipStage(Stage):
                 self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return the measured displacement by distance, for a displacement that begins at a border."""
+        """Return a function that gives the measured (blurred) displacement at distances from a slip border."""
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        """Return displacements (n, ...) mm since the first frame, NaN where not known; here (n, N, 2) of the points."""
+        """Return the skin's displacement since the first frame, here (n, N, 2) mm of points; NaN where not known."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
@@ -328,7 +328,7 @@ class SlipStage(Stage):
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Return the RMS (mm) of non-rigid displacement over the contact, and of its irrotational and solenoidal parts."""
+    """Return RMS values (mm) over the contact of non-rigid displacement and its irrotational and solenoidal parts."""
     places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
@@ -340,7 +340,7 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the fit, marked as not identified where its curve loses adhesion at another T/N than the trial."""
+    """Return the friction fit, marked as not identified if its curve loses adhesion at another T/N than the trial."""
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))

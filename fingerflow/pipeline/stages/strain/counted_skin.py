@@ -59,7 +59,7 @@ class CountedSkin:
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
     def _of_entered(self) -> NDArray[np.int32]:
-        """Return the Delaunay triangles (M, 3) with advected points, by positions of the points that have touched."""
+        """Return Delaunay triangles (M, 3) with a corner advected into the contact, among points that have touched."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
@@ -88,7 +88,7 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacement (n, P, 2) mm and its covariance (n, P, 2, 2) mm^2 in these frames (n,)."""
+        """Return displacement (n, P, 2) mm and covariance (n, P, 2, 2) mm^2 of P points and corners in n frames."""
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):

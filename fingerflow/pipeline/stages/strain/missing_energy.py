@@ -17,7 +17,7 @@ class MissingEnergy:
         self._last = np.zeros(len(areas))  # last known energy of each per depth
 
     def see(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the error (n,) mJ/mm, from the density (n, M) mJ/mm^3 of triangles in contact, NaN where not known."""
+        """Return the energy error (n,) mJ/mm of n frames, from energy densities (n, M) mJ/mm^3, NaN if not known."""
         result, energies = np.zeros(len(density)), density * self._area
         known = np.isfinite(energies)
         seen, lost = in_contact & known, in_contact & ~known

@@ -149,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return whether skin at (K, 2) px of the contact view lay outside the seeding region of its nearest point."""
+        """Return a mask (K,) of positions (K, 2) px of the contact view whose skin was outside the seeding region."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
