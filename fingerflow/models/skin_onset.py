@@ -90,7 +90,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
 
 
 def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
-    """Return the slope of odd values (..., M) from the axis outward, by central differences, one-sided at the edge."""
+    """Return the derivative of odd values (..., M) from the axis outward: central differences, one-sided at the end."""
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
     place = torch.cat((-at[..., mirrored], at), -1)

@@ -1,4 +1,4 @@
-"""Colours, axes and legends that all figures share."""
+"""Colours, axes and legends common to all figures."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -8,12 +8,12 @@ BAND = 2.0  # standard deviations that a band shows on either side
 
 
 def given_or_new(axes: Axes | None, width: float = 4.6, height: float = 3.3) -> Axes:
-    """Return the given axes, or those of a new figure of this size in inches."""
+    """Return the given axes, or axes of a new figure of this size in inches."""
     return Figure(figsize=(width, height), layout="constrained").subplots() if axes is None else axes
 
 
 def finished(axes: Axes) -> Axes:
-    """Return the axes with a light grid, and with a legend if any line has a name."""
+    """Add a light grid to axes, and a legend if any line has a name; return the axes."""
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize="small")

@@ -1,4 +1,4 @@
-"""Curves of a result, each drawn into one axes: areas, deformation, energy, forces, quality."""
+"""Curves of a result against time or force: areas, deformation, energy, forces, tracking quality."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -164,7 +164,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Raise FingerflowError if a result lacks any of these variables."""
+    """Check that a result has all of these variables; raise FingerflowError otherwise."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -172,7 +172,7 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
-    """Return a variable, or a component of it, in the unit in which it is shown."""
+    """Return a variable of a result, or one component, as a curve in the unit in which it is shown."""
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -189,7 +189,7 @@ def _from_zero(axes: Axes) -> Axes:
 
 
 def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw one variable."""
+    """Draw a figure with the curve of one variable."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 
@@ -197,7 +197,7 @@ def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str
 def _draw(
     result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
 ) -> Axes:
-    """Draw curves with bands of BAND standard deviations."""
+    """Draw several curves into one axes, with bands of BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread), colour in zip(curves, (INK, RED, YELLOW, GREEN, GREY), strict=False):
@@ -221,7 +221,7 @@ def _draw(
 
 
 def _whole(x: Values) -> tuple[float, float]:
-    """Return limits that show every frame, even those without a value."""
+    """Return limits of the horizontal axis that include every frame, even frames without a value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

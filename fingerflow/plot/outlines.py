@@ -1,4 +1,4 @@
-"""Outlines of contact and stick region of one frame, in mm on the glass."""
+"""Outlines of the contact and of the stick region in one frame, in mm on the glass."""
 
 import math
 
@@ -11,7 +11,7 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 
 def contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
-    """Return the ellipse of the gross contact (K, 2), or None without contact."""
+    """Return points (K, 2) on the ellipse of the gross contact, mm; None without contact."""
     known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
     if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None
@@ -23,7 +23,7 @@ def contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
 
 
 def stuck_outline(region: NDArray[np.integer], cell_mm: float, first_cell_mm: float) -> NDArray[np.float64] | None:
-    """Return the longest outline (K, 2) of the stick region's cells, through their centres; None without any."""
+    """Return the longest outline (K, 2) of the stick region, mm, through centres of its cells; None without any."""
     contours, _ = cv2.findContours(np.asarray(region, dtype=np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return None

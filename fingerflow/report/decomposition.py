@@ -17,7 +17,7 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Decomposition of the displacement of P points into `parts`, named by PARTS; NaN where unknown.
+    """Parts of a displacement field of P points, named by PARTS; NaN where unknown.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
@@ -32,7 +32,8 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose the least-squares linear field about the centre of the points into its parts, and the rest.
+    """Decompose a displacement field into the parts of its least-squares linear fit about the centre of the points, and
+    the rest.
 
     Args:
         points: (P, 2) mm, reference positions x and y.

@@ -31,7 +31,7 @@ def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) 
 
 
 def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Draw figure S4 B: L and a (mm) against the normal indentation (mm)."""
+    """Draw figure S4 B: arc length L and contact radius a (mm) against the normal indentation (mm)."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, arc_length(delta, radius), color=RED, label="L, arc of the skin")
     axes.plot(delta, contact_radius(delta, radius), color=INK, label="a, contact")
@@ -40,7 +40,7 @@ def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST
 
 
 def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Draw figure S4 C: compression of sticking skin (%) against the indentation (mm), with 3 mm marked."""
+    """Draw figure S4 C: compression (%) of sticking skin against the indentation (mm), with 3 mm marked."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
     at_three = 100 * float(radial_strain(3.0, radius))

@@ -1,4 +1,4 @@
-"""True displacement of the simulated press of `fingerflow demo`, for figures S6 and S13."""
+"""True displacement field of the simulated press of `fingerflow demo`, for figures S6 and S13."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True field at P points in the contact of the last frame, and medians of F frames; NaN where there is none."""
+    """True displacement and curl at P points in the contact of the last frame, and median curl in F frames."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact
@@ -29,7 +29,7 @@ class PressField:
 
 
 def press_field(scene: SyntheticScene | None = None) -> PressField:
-    """Return the true field of a scene that ends in contact, by default the press of `fingerflow demo`.
+    """Return the true field of a synthetic scene that ends in contact, by default the press of `fingerflow demo`.
 
     Raises:
         ValueError: the last frame of the scene has no contact.

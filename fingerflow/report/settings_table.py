@@ -1,4 +1,4 @@
-"""Settings of a result as readable tables: without None and brackets, with units."""
+"""Settings of a result as tables for readers, with units and without unset keys."""
 
 import json
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
 
 
 def transform_rows(stored: str) -> list[tuple[str, str]]:
-    """Return rows on the transform in the attribute `topography_to_contact`; none for the identity."""
+    """Return rows on magnification, rotation and shift of a result's `topography_to_contact`; none for the identity."""
     matrix = np.array(json.loads(stored), dtype=np.float64)
     if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
         return []

@@ -1,4 +1,4 @@
-"""Presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
+"""Simulated presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
 
 The chain is a section through an axisymmetric finger: its strains are radial and hoop, and maps are rotated about
 the axis. Strains are relative to the undeformed finger, those of a recording to each point's onset of contact.
@@ -42,11 +42,11 @@ class SimulatedPresses:
     chain: PressedChain
 
     def index(self, friction: float) -> int:
-        """Return the index of the press with a friction."""
+        """Return the index of the press with a given friction coefficient."""
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return strains from the middle of each contact to its edge, interpolated between elements."""
+        """Return strains along each contact from its middle to its edge, interpolated between elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -82,7 +82,7 @@ def simulate_presses(
     times: int = _TIMES,
     elements: int = _ELEMENTS,
 ) -> SimulatedPresses:
-    """Press the chain of the default parameters with a force that rises linearly to ``load_n``, at each friction."""
+    """Press the chain of default parameters with a force that rises linearly to ``load_n``, once for each friction."""
     time = torch.linspace(0, duration_s, times, dtype=torch.float64)
     force = load_n * time / duration_s
     chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, elements=elements)
@@ -176,7 +176,7 @@ def friction_colours(presses: SimulatedPresses) -> Any:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return rates (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
+    """Return time derivatives (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
     step = time[1] - time[0]
     width = max(1, round(_SLOPE_S / step / 2))
     rates = np.full(series.shape, np.nan)
@@ -193,7 +193,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
-    """Return extent (mm) and strains (H, W, 3) of the chain rotated about its axis at full load; NaN off contact."""
+    """Return map extent (mm) and strains (H, W, 3) at full load of the chain turned about its axis; NaN off contact."""
     k, found = presses.index(friction), presses.profile()
     radius = found.radius[-1, k]
     reach = float(radius[-1])

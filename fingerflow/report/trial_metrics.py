@@ -1,4 +1,4 @@
-"""Metrics of many trials, as in figures S1, S5 and S7 to S9 of Willemet et al. 2021, drawn into given axes.
+"""Figures of metrics over many trials, as figures S1, S5 and S7 to S9 of Willemet et al. 2021, drawn into given axes.
 
 An answer is correct if the vibrating comparison was felt as more slippery than the reference, which does not vibrate.
 """
@@ -44,13 +44,13 @@ METRICS = (
 
 
 def label_of(metric: str) -> str:
-    """Return the label of a metric, or of its difference (comparison less reference) for a name with `_difference`."""
+    """Return the axis label of a metric; a name with `_difference` means comparison less reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
 
 def shown_values(metric: str, values: Values) -> Values:
-    """Return values of a metric, or of its difference, in the unit of its label."""
+    """Return values of a metric, or of its difference, in the unit that its axis label states."""
     return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(values))
 
 
@@ -191,7 +191,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 
 def finished_beside(axes: Axes, title: str) -> Axes:
-    """Finish axes as `finished` does, with the legend beside the axes, where it covers no dot."""
+    """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
     finished(axes)
     axes.legend(
         frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
@@ -207,7 +207,7 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Return the conditions' names in rising order, and the index of each trial's condition."""
+    """Return the names of the conditions in rising order, and for each trial the index of its condition."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 
@@ -223,7 +223,7 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
 
 
 def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1."""
+    """Return the 95 % Wilson score interval of a share, which always lies within 0 and 1."""
     n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))

@@ -1,4 +1,4 @@
-"""Sliding friction from a tribometer trace: reading of the file, and figures S1 A and B of Willemet et al. 2021."""
+"""Sliding friction from a tribometer trace: reader of the file, and figures S1 A and B of Willemet et al. 2021."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _MOST_POINTS = 20_000  # of a line, more than any figure resolves
 
 @dataclass(frozen=True)
 class TribometerTrace:
-    """Trace of T samples of a finger sliding to and fro on a plate with modulated vibration; float64, SI units."""
+    """Trace of T samples of a finger that slides to and fro on a plate with modulated vibration; float64, SI units."""
 
     path: Path
     time: Tensor  # (T,) s
@@ -33,7 +33,8 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m).
+        """Return friction coefficients in each half period of rising vibration, in amplitude bins between ``edges``
+        (m).
 
         The default edges are those of six equal bins over the range of amplitudes.
 
@@ -60,7 +61,7 @@ class TribometerTrace:
 def read_tribometer(
     path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> TribometerTrace:
-    """Read a trace by `open_forces`, in any of its formats.
+    """Read a tribometer trace from a file of any format of `open_forces`.
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
@@ -137,6 +138,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile, robust to large ratios at small normal forces."""
+    """Return an upper axis limit by the 0.99 quantile of values, so that few large ratios do not matter."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

@@ -1,4 +1,4 @@
-"""Synthetic scenes of a finger on glass with exactly known motion, contact and forces: for demo, tests and bench."""
+"""Synthetic recordings of a finger on glass with exactly known motion, contact and forces, for demo, tests, bench."""
 
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress

@@ -48,11 +48,11 @@ class Camera:
         return self.full_range / 255
 
     def expose(self, light: Tensor) -> Tensor:
-        """Return noise-free, unrounded grey levels of this camera for light in 8-bit grey levels above the dark."""
+        """Convert light, in 8-bit levels above the dark level, to this camera's noise-free, unrounded grey levels."""
         return (light + self.dark) * self.levels
 
     def variance(self, clean: Tensor) -> Tensor:
-        """Return a pixel's variance at its noise-free level, in squared grey levels, without quantisation."""
+        """Return pixels' noise variance at noise-free levels `clean`, in squared grey levels, without quantisation."""
         scale, dark = self.levels, self.dark * self.levels
         at_half = (self.noise * scale) ** 2
         shot = at_half * self.shot_share / (127.5 * scale - dark)

@@ -1,4 +1,4 @@
-"""A fingertip pressed on glass, simulated with the skin chain: the spread of its skin depends on friction."""
+"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of its skin depends on friction."""
 
 import math
 from dataclasses import dataclass
@@ -59,11 +59,11 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """Return the chain's own displacement and divergence since contact: ground truth without images and splines."""
+        """Return displacement and divergence of the chain since contact: ground truth without images and splines."""
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:
-        """Interpolate values (T,) at the chain's times to the times of the frames; NaN before contact."""
+        """Interpolate values (T,) at the chain's simulated times to the times of the frames; NaN before contact."""
         share = self.progress(self.times)
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
@@ -167,7 +167,7 @@ def _coefficients(values: Array) -> Tensor:
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients and their weights, at a share of the grid's length."""
+    """Return the index of the first of four spline coefficients, and their weights, at a share of the grid's length."""
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]

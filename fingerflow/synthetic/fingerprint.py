@@ -1,4 +1,4 @@
-"""A fingertip's skin as a formula: loop, whorl or arch, with minutiae, pores, and ridges that break at the border."""
+"""Fingertip skin as a formula: loop, whorl or arch, with minutiae, pores, and ridges that break up at the border."""
 
 import math
 from collections.abc import Callable
@@ -65,13 +65,13 @@ class FingerprintTexture:
         object.__setattr__(self, "_pattern", PATTERNS[self.pattern]())
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside (-1, 1), bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within (-1, 1) and bright on ridges, at material positions (x, y), in mm."""
         ridge = self.ridges(x, y)
         contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._waves["pores"], x, y) * (self.pores / 32)
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the margin as defined by `Skin`; the share is that without pores, unevenness and border."""
+        """Return the distance inside a touching ridge (see `Skin`); pores and border reduce the touching `share`."""
         height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]

@@ -48,7 +48,7 @@ class Ellipse:
         return torch.sqrt(along.square() + across.square() + 1e-30)
 
     def distance(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the distance to the edge in mm, positive inside: exact on the edge and first order near it."""
+        """Return the distance to the ellipse in mm, positive inside: exact on the ellipse and first order near it."""
         along, across = self._principal(x, y)
         radius = torch.sqrt(along.square() + across.square() + 1e-30)
         slope = torch.sqrt((along / self.semi_axes[0]).square() + (across / self.semi_axes[1]).square() + 1e-30)
@@ -83,7 +83,7 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of a movement; x, y and progress are tensors that broadcast, float32 or float64."""
+    """Interface of skin motion by position (x, y) and progress 0 to 1: tensors that broadcast, float32 or float64."""
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int

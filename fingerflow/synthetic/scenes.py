@@ -25,7 +25,7 @@ EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
 class SyntheticForces(NamedTuple):
-    """Force samples at 10 kHz, on the frames' clock: time in s, two forces in N, trigger in V, which rises at 0 s."""
+    """Force sensor samples at 10 kHz: time in s, two forces in N, and the trigger in V, which rises at 0 s."""
 
     time: Array
     normal_force: Array

@@ -18,7 +18,7 @@ class Skin(Protocol):
         """Return the position of the fingerprint's core or centre, mm."""
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
         """Return the distance (mm) inside a touching ridge, positive where skin touches; exact in sign, else first

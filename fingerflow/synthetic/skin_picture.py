@@ -89,12 +89,12 @@ class PictureTexture:
         return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
         value, _, _ = _spline(self._levels.contrast, *self._pixels(x, y))
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the margin as defined by `Skin`; the share that touches is the image's, ``share`` is ignored."""
+        """Return the distance inside a touching ridge (see `Skin`) as the image shows it; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)

@@ -93,7 +93,7 @@ class Truth:
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
-        """Return the topography pixels to which the skin at given pixels has moved from one frame to another."""
+        """Return the topography pixels in frame `to_frame` of the skin at given pixels in frame `from_frame`."""
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
@@ -138,7 +138,7 @@ class Truth:
         return self.time_of(self._onset(_points(material))[0].numpy())
 
     def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
-        """Return the first frame with material points (..., 2) inside the apparent contact; -1 where there is none."""
+        """Return the first frame whose apparent contact contains material points (..., 2); -1 if there is none."""
         onset = self._onset(_points(material))[0].numpy()
         frames = np.searchsorted(self.progress, np.nan_to_num(onset, nan=np.inf), side="left")
         return np.where(frames < len(self.progress), frames, -1)
@@ -152,7 +152,7 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement gradient (..., 2, 2) since the onset, by the positions of onset.
+        """Return the displacement gradient (..., 2, 2) since the onset, with respect to the onset position.
 
         With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
         F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
@@ -245,7 +245,7 @@ class Truth:
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return F (..., 2, 2) and the skin's velocity by progress (..., 2) at positions (..., 2)."""
+        """Return deformation gradient F (..., 2, 2) and skin velocity by progress (..., 2) at positions (..., 2)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self.motion.material(positions[..., 0], positions[..., 1], progress)

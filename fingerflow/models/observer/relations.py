@@ -30,7 +30,7 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Anova:
-    """F with its degrees of freedom, p, and eta^2, the share of the variance between groups; `trials` per group."""
+    """One-way ANOVA: F with degrees of freedom, p, and eta^2, the variance share between groups; `trials` per group."""
 
     f: float
     degrees: tuple[int, int]

@@ -68,7 +68,7 @@ def ideal_observer(sources: Sources) -> Sheet:
 
 
 def individual_performance(sources: Sources) -> Sheet:
-    """Figure S12: groups by each participant's median divergence, or its difference, and how they answer."""
+    """Return figure S12: groups of participants by median divergence (or its difference), and their answers."""
     metric = sources.difference("divergence")
     trials, lacks = sources.trials, sources.lacks(metric)
     if trials is None or lacks:
@@ -105,7 +105,7 @@ def individual_performance(sources: Sources) -> Sheet:
 
 
 def curl(sources: Sources) -> Sheet:
-    """Figure S13; A and B of the simulated press."""
+    """Return figure S13: curl, in panels A and B of the simulated press, in C of the table of trials."""
     trials = sources.trials
     panels = [
         SheetPanel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),

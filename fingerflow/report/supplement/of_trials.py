@@ -1,4 +1,4 @@
-"""Figures S1, S5, S7, S8 and S9: a tribometer trace, a table of trials, and the skin chain where it has an answer."""
+"""Figures S1, S5, S7, S8 and S9 of the supplement: from a tribometer trace, a table of trials, or the skin chain."""
 
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +36,7 @@ _Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
 
 
 def friction_and_area(sources: Sources) -> Sheet:
-    """Figure S1."""
+    """Return figure S1: friction from the tribometer trace, contact area from the table of trials."""
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
@@ -61,7 +61,7 @@ def friction_and_area(sources: Sources) -> Sheet:
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Figure S5; J beside the table's by the skin chain, K by the skin chain."""
+    """Return figure S5: force and motion. J is drawn from the table and the skin chain, K from the skin chain."""
     found, lacking = _from_table(
         sources,
         (
@@ -119,7 +119,7 @@ def surface_strain(sources: Sources) -> Sheet:
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
+    """Return figure S9: strain energy. A, B and C are from the skin chain; E uses differences if the table has them."""
     chain = (
         SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses, (LOW, HIGH)), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
@@ -136,7 +136,7 @@ def strain_energy(sources: Sources) -> Sheet:
 
 
 def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Panels whose metrics the table has, and of the others the letter and what they need."""
+    """Return the panels whose metrics the table has, and for all others their letter and what they lack."""
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     for letter, draw, metrics, settings in wanted:
