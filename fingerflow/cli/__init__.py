@@ -17,7 +17,7 @@ _INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 
 
 def main() -> None:
-    """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    """Run the command line; exit status 0 for success, 2 for an error that the user can correct, 130 if interrupted."""
     others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
-    """Interrupt the main thread once more where Ctrl-C came in a callback, from which Python lets no exception out."""
+    """Interrupt the main thread again after Ctrl-C in a callback, from which Python lets no exception out."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
         # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
         # which Windows does not have.

@@ -1,4 +1,4 @@
-"""Recordings with known truth."""
+"""Commands that write synthetic recordings with known truth."""
 
 import shutil
 from pathlib import Path

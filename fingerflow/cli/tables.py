@@ -1,4 +1,4 @@
-"""From results to files for other programs."""
+"""Commands that export results to files for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -57,7 +57,7 @@ def export_map(
 
 
 def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
-    """The player's own table has the same columns, and needs no torch."""
+    """Export a stream's results folder by the player's own function, which writes the same columns without torch."""
     from fingerflow.player import write_table
     from fingerflow.results.atomic_write import keep_others
     from fingerflow.results.tables import is_table

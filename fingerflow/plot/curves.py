@@ -19,7 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """Curve with its name in the legend, values (F,) and standard deviations (F,) or None, as they are shown."""
+    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the shown unit."""
 
     name: str
     values: Values

@@ -230,7 +230,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` places: in each square cell of a grid the one nearest to its middle."""
+    """Return indices of about `most` positions, evenly spread: the one nearest to the centre of each grid cell."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)

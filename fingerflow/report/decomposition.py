@@ -107,7 +107,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return the factor, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
+    """Return the arrow scale, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

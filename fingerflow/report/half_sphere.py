@@ -12,7 +12,7 @@ DEEPEST_MM = 4.0
 
 
 def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) -> Axes:
-    """Draw figure S4 A: the fingertip pressed by ``delta`` into the glass, the arc 2 L and the contact 2 a (mm)."""
+    """Draw figure S4 A: a half-sphere pressed by ``delta`` (mm) into the glass, with arc 2 L and contact 2 a (mm)."""
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY, linewidth=1)
     axes.axhline(0, color=INK, linewidth=1)

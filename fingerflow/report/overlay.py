@@ -18,7 +18,7 @@ _ARROW_PX = 40  # drawn length of the largest displacements
 
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
-    """Write an MP4 of at most 300 frames, evenly spaced over the recording, with the scale of the arrows in it."""
+    """Write an overlay video (MP4) of at most 300 evenly spaced frames, with the scale of the arrows as text."""
     write_atomically(path, lambda part: encode_video(_pictures(result, scene), part))
     return path
 

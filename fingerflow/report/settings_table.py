@@ -10,7 +10,7 @@ from fingerflow.schema.scene_keys import REGION, SCENE, Choice, SceneKey, SceneT
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
-    """Return rows (name, value) by table from the attribute `settings` of a result; unset keys are left out."""
+    """Return rows (name, value) of each settings table from a result's attribute `settings`, without unset keys."""
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:

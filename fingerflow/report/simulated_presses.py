@@ -34,7 +34,7 @@ _RADII = 201
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Presses at K frictions with one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
+    """Simulated presses at K frictions with one force trace of T times; `chain` holds (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -60,7 +60,7 @@ class SimulatedPresses:
         return Profile(radius, radial, hoop)
 
     def energy(self) -> Values:
-        """Return the strain energy (T, K) in mJ over the contact disc, 2 mm deep (equation 3); 0 without contact."""
+        """Return the strain energy (T, K) in mJ of the contact disc, 2 mm deep (equation 3); 0 without contact."""
         found = self.profile()
         rings = np.nan_to_num(_density(found.radial, found.hoop)) * 2 * np.pi * found.radius
         return np.asarray(DEPTH_MM * np.trapezoid(rings, found.radius, axis=-1))
@@ -68,7 +68,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from 0 to the edge; NaN without contact."""
+    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from middle to contact edge; NaN without contact."""
 
     radius: Values
     radial: Values  # du/dx

@@ -102,7 +102,7 @@ class ViewPainter:
                 cv2.circle(part, place, 10, colour, -1, cv2.LINE_AA, 3)
 
     def _eighths(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return positions (N, 2) in eighths of a pixel, the precision of OpenCV's drawing; arbitrary where unknown."""
+        """Convert positions (N, 2) px to integers in eighths of a pixel for OpenCV; arbitrary for unknown positions."""
         return np.round(np.nan_to_num(self._pixels(millimetres, matrix)) * 8).astype(np.int32)
 
     def _pixels(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:

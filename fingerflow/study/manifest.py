@@ -1,4 +1,4 @@
-"""`study.toml`: the recordings of a study, their shared scene, and the data known about each trial."""
+"""Manifest of a study, `study.toml`: its recordings, their shared scene, and what is known about each trial."""
 
 import csv
 import difflib
@@ -29,7 +29,7 @@ _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 @dataclass(frozen=True)
 class TrialEntry:
-    """One row of the manifest.
+    """One trial of a study: a row of the table of trials in the manifest.
 
     Attributes:
         name: of its folder among the results, unique in the study.
@@ -60,17 +60,17 @@ class Manifest:
     trials: tuple[TrialEntry, ...]
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; raises FingerflowError with the place of the row, key, value and remedy."""
+        """Return the scene of a trial; raise FingerflowError with row, key, value and remedy if it is invalid."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
     def by_name(self) -> dict[str, TrialEntry]:
-        """Return the trials by the names of their folders."""
+        """Return the trials by name, which is also the name of their folder."""
         return {entry.name: entry for entry in self.trials}
 
 
 def load_manifest(path: str | Path) -> Manifest:
-    """Read `study.toml` and its table of trials, a CSV file or a pattern over file names.
+    """Read `study.toml` and the table of trials that it names, a CSV file or a pattern of file names.
 
     ::
 
@@ -125,7 +125,7 @@ def load_manifest(path: str | Path) -> Manifest:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as dictionaries by column name; raises FingerflowError if it is no table."""
+    """Return the rows of a CSV file as dictionaries by column name; raise FingerflowError if it is no table."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             heading, *rows = [row for row in csv.reader(file) if row] or [[]]
@@ -145,7 +145,8 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each row of trials its row in a table of answers, matched by participant and trial; {} without one.
+    """Return the answer of each trial, as a row of the file of answers for the same participant and trial; {} without
+    one.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -169,7 +170,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row for every file that matches a pattern with names in braces, sorted by file name."""
+    """Return a row of trials for each file name that matches a pattern with names in braces, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -275,7 +276,7 @@ def _check_key(dotted: str, place: str) -> None:
 
 
 def _value(cell: str) -> Any:
-    """Parse a cell as a TOML value (number, list, true or false); anything else is text."""
+    """Parse a cell of the table as a TOML value (number, list, true or false); any other cell is text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
     except tomllib.TOMLDecodeError:
@@ -283,7 +284,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Escape all characters but letters, digits, dots and dashes by their number: different texts stay different."""
+    """Return a file name for a text: characters other than letters, digits, dots and dashes are escaped uniquely."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

@@ -1,4 +1,4 @@
-"""Processor time of each of several trials in one process."""
+"""Measurement of the processor time of each of several trials that run in one process."""
 
 import time
 from threading import Lock
@@ -20,7 +20,7 @@ class Share:
         self._look(-1)
 
     def seconds(self) -> float:
-        """Return the processor time so far, s."""
+        """Return the processor time of this context so far, s."""
         return self._look(0) - self._begun
 
     @classmethod

@@ -1,4 +1,4 @@
-"""A simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
+"""Simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
 
 Divergence is that of the skin chain (Willemet et al. 2021) at the friction of a condition and the softness of a
 participant, times a factor per participant, plus variation from trial to trial. The observer perceives it with
@@ -69,20 +69,20 @@ class Design:
 
     @cached_property
     def divergences(self) -> Values:
-        """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
+        """Return the divergence (2, C) of firmer and softer skin in each of C conditions, at 3 N."""
         friction = torch.from_numpy(self.frictions)
         found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in (1, self.softness)]
         result: Values = torch.stack(found).numpy()
         return result
 
     def is_soft(self) -> NDArray[np.bool_]:
-        """Return True for participants (P,) with softer skin."""
+        """Return a mask (P,) of the participants with softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
 
 @dataclass(frozen=True)
 class ObserverTruth:
-    """True statistics of the whole population, as `fingerflow.models.observer` defines them."""
+    """True observer statistics of the simulated population, as `fingerflow.models.observer` defines them."""
 
     d_prime: float
     auc: float
@@ -91,7 +91,7 @@ class ObserverTruth:
 
 
 def truth_of(design: Design, hits: float = 0.75) -> ObserverTruth:
-    """Compute the true statistics by integration.
+    """Compute the true observer statistics of a simulated study by integration.
 
     f(x) is the density of the divergence over all trials, a mixture of Gaussians, and h(x) = Phi((x - criterion) /
     noise) the probability of the answer. Correct trials have the density f h / P and incorrect ones f (1 - h) / (1 -
@@ -119,7 +119,8 @@ def truth_of(design: Design, hits: float = 0.75) -> ObserverTruth:
 
 
 def simulate_table(design: Design) -> dict[str, Any]:
-    """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
+    """Return a simulated table of trials in the form of `write_tables`, without recordings, to test the statistics
+    alone.
 
     Strain and its energy follow the divergence with added noise, so they predict the answer less well. Global
     displacement, force angle, areas, curl, rates and force are independent of it.
@@ -162,7 +163,7 @@ def simulate_table(design: Design) -> dict[str, Any]:
 
 
 def write_recordings(folder: Path, design: Design) -> None:
-    """Write one `ChainPress` recording per trial with its scene, `answers.csv` and `truth.json`, into a new folder.
+    """Write a `ChainPress` recording with its scene for each trial, `answers.csv` and `truth.json`, into a new folder.
 
     A trial's divergence varies through its force, 2 N with a standard deviation of a tenth. The observer perceives the
     chain's divergence at this force.

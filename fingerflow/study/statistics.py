@@ -30,7 +30,7 @@ _FIRST = "divergence"  # the metric that the others are compared with
 
 @dataclass(frozen=True)
 class Counted:
-    """Number of trials, and how many each rule has left out."""
+    """Number of trials of a study, of those that each rule excludes, and of those used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -47,7 +47,7 @@ class Sample:
 
 
 def sample_of(frame: Any) -> Sample:
-    """Return the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
+    """Select the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
 
     Raises FingerflowError if no trial has been measured.
     """
@@ -69,7 +69,7 @@ def sample_of(frame: Any) -> Sample:
 
 
 def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
-    """Compute all statistics as plain numbers, for `statistics.json` and the page.
+    """Compute all statistics of a study as plain numbers, for `statistics.json` and the page.
 
     - `counted`: numbers of trials, left out by each rule and used.
     - `by_condition`, `by_answer`: a one-way ANOVA of each metric over conditions and over answers.

@@ -1,4 +1,4 @@
-"""Table of trials, and curves averaged by condition, from the stored rows of runs."""
+"""Table of trials of a study, and curves averaged by condition, from the stored rows of all trials."""
 
 import os
 from collections.abc import Sequence
@@ -78,7 +78,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return the rows of the table: the manifest's columns of each trial, its facts, then its numbers, NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -107,7 +107,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return areas over the median of their participant, by column name; NaN where the median is 0 or unknown."""
+    """Return contact areas divided by the median of their participant, by column name; NaN if that is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -116,7 +116,7 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Average curves against force by condition; return one row per metric, condition and force.
+    """Average the curves against force over trials of each condition; return one row per metric, condition and force.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force

@@ -235,7 +235,7 @@ class Truth:
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
-        """Return F(frame) begun^-1 - I (..., 2, 2), with ``begun`` the gradient of the reference; NaN before onset."""
+        """Return the displacement gradient F(frame) begun^-1 - I; ``begun`` is F of the reference. NaN before onset."""
         gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 

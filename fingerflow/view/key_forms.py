@@ -20,12 +20,12 @@ from fingerflow.schema.scene_kinds import KINDS
 
 
 def kinds() -> list[str]:
-    """Return the kinds of scenes."""
+    """Return the names of all kinds of scenes."""
     return list(KINDS)
 
 
 def forms() -> dict[str, dict[str, Any]]:
-    """Return the tables with help and keys; of each key name, label, help, kind of input, limits and default.
+    """Return a form for each table: its help, and for each key name, label, help, kind of input, limits and default.
 
     Views are not among them, as they are drawn.
     """

@@ -1,4 +1,4 @@
-"""Frames as 8-bit grey pictures, with one contrast for a recording."""
+"""Frames of a recording as 8-bit grey images for display, all with the same contrast."""
 
 from typing import Any
 
@@ -15,14 +15,14 @@ _DARKEST, _BRIGHTEST = 0.2, 99.9  # percentiles drawn black and white
 
 
 class Pictures:
-    """Pictures of the frames of a recording.
+    """Converter of a recording's frames to 8-bit images for display, subsampled to a limited size.
 
     Attributes:
         every: subsampling step along both axes, px.
     """
 
     def __init__(self, recording: Recording) -> None:
-        """Set the contrast from the first and the middle frame; raise FingerflowError if no frame can be read."""
+        """Set the contrast by the first and the middle frame; raise FingerflowError if no frame can be read."""
         if not len(recording):
             raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
         self.recording = recording
@@ -34,7 +34,7 @@ class Pictures:
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """Return the picture (h, w) of a frame, by its index in the file."""
+        """Return the 8-bit image (h, w) of a frame, given by its index in the file."""
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""HTTP server of the page, whose requests a session answers."""
+"""HTTP server of the page; a session answers its requests."""
 
 import socket
 import threading
@@ -33,14 +33,14 @@ Answer = Callable[[Request], Any]
 
 
 class Served:
-    """Server of a page, until it is closed.
+    """Running server of a page, until it is closed.
 
     Attributes:
         address: URL that opens the page, with its token.
     """
 
     def __init__(self, path: Path | None, port: int = 0) -> None:
-        """Open a path and bind a port (0 for a free one); raise FingerflowError if either fails."""
+        """Open a path and bind a port (0 selects a free one); raise FingerflowError if either fails."""
         self.session = Session(open_path(path))
         self.session.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -94,7 +94,7 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
 
 
 def application(session: Session) -> Starlette:
-    """Return the application with all routes; access control is left to `Guard`."""
+    """Return the web application with all routes, without access control, which `Guard` adds."""
     asked = session
 
     def number(request: Request, name: str) -> int:

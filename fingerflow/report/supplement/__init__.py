@@ -1,4 +1,4 @@
-"""The figures of the supplement of Willemet et al. 2021 that simulation and tables give, and its movie of the model."""
+"""Figures of the supplement of Willemet et al. 2021 that simulation and tables can give, and movie of the model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Figures S11, S12 and S13: the ideal observer, groups of participants and the curl, from the table of trials."""
+"""Figures S11, S12 and S13 from a table of trials: ideal observer, groups of participants, and curl."""
 
 from dataclasses import replace
 

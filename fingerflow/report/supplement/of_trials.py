@@ -84,7 +84,7 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Figure S7; D and E against differences where the table has them, as the axes say."""
+    """Return figure S7, displacement and force angle: D and E show differences if the table has them."""
     found, lacking = _from_table(
         sources,
         (
@@ -99,7 +99,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
+    """Return figure S8, surface strain: B, D, E and F from the skin chain, H with differences if the table has them."""
     chain = (
         SheetPanel(
             "B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses, (LOW, HIGH)), columns=3, rows=2

@@ -62,7 +62,7 @@ class Sheet:
         return figure
 
     def write(self, folder: Path) -> Path:
-        """Writes `S1.png` and so on, whole or not at all; raises FingerflowError where it cannot be written."""
+        """Write the figure as PNG under its name ("S1.png") atomically; raise FingerflowError if that fails."""
         path = folder / f"{self.name}.png"
         save_figure(self.figure(), path)
         return path
