@@ -1,4 +1,4 @@
-"""The command line: one command a function, no logic; each file has the commands of one purpose."""
+"""Command line of fingerflow: each function is a command without logic, each file groups commands of one purpose."""
 
 import _thread
 import signal

@@ -92,7 +92,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return the current state of a file or folder; the earlier digest is reused if size and time are unchanged."""
+    """Return the present state of an input file or folder; a digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -108,7 +108,7 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is certainly unchanged: a digest of samples counts only with an unchanged time."""
+    """Return True if a file is certainly unchanged; a digest of samples counts only with an unchanged time."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 

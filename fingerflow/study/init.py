@@ -29,7 +29,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Files written by `init_study`: the manifest and its table; number of trials and what is still to be filled in."""
+    """Outcome of `init_study`: written manifest and table, number of trials, and what the user has to fill in."""
 
     manifest: Path
     table: Path

@@ -52,7 +52,7 @@ class TrialEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A study; `shared` is its scene as parsed from TOML, whose keys each trial may replace."""
+    """Manifest of a study; `shared` is the scene of all trials as parsed from TOML, whose keys a trial may replace."""
 
     path: Path
     results: Path
@@ -264,7 +264,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Raise FingerflowError for a column that is no key of a scene; keys below `views` are not checked here."""
+    """Check that a column names a key of the scene, else raise FingerflowError; keys below `views` always pass."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:

@@ -5,7 +5,7 @@ from threading import Lock
 
 
 class Share:
-    """Processor time of the process while this context is entered, divided evenly among all entered contexts."""
+    """Context that measures processor time: that of the process, divided evenly among contexts entered at once."""
 
     _lock = Lock()
     _running = 0

@@ -43,7 +43,7 @@ class PageJob:
 
 @dataclass(frozen=True)
 class Outlier:
-    """Distance of a trial from the others of its condition, in robust deviations, and the metric that shows it."""
+    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that has it."""
 
     deviations: float
     metric: str

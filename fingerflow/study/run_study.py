@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a run: numbers of planned and skipped trials, their outcomes, and the reason for an interruption."""
+    """Outcome of a study run: numbers of planned and skipped trials, their outcomes, and reason of an interruption."""
 
     planned: int
     skipped: int
@@ -148,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the number of trials to batch; accelerators of a cluster's workers are not known here."""
+    """Return the default number of trials in a group; more than 1 only with a GPU here and without a cluster."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1

@@ -1,4 +1,4 @@
-"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
+"""Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
 
 import math
 import warnings
@@ -39,7 +39,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials for figures and statistics; if `answered` is False, `answer` is meaningless."""
+    """Trials that figures and statistics use; if `answered` is False, no answers exist and `answer` is meaningless."""
 
     trials: Trials
     answered: bool

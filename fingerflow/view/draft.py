@@ -50,7 +50,7 @@ class Draft:
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """Return a scene in the folder of a recording, with two views side by side; unknown keys are left out."""
+        """Return a draft for a recording, in its folder, with two views side by side and without unknown keys."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
@@ -163,7 +163,7 @@ def files_beside(path: Path, most: int = 300) -> list[str]:
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
-    """Return default views: two are the halves of a frame, as in the rig of Willemet et al. 2021; one is all of it."""
+    """Return default views of a kind of scene: the halves of a frame, as in Willemet et al. 2021, or all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2

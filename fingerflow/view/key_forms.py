@@ -1,4 +1,4 @@
-"""Forms of the page for the keys of a scene, from the table that `process` checks them with."""
+"""Forms of the page for the keys of a scene, derived from the table that `process` uses for validation."""
 
 from typing import Any
 

@@ -38,7 +38,7 @@ class Pictures:
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return the picture (h, w) of a frame (H, W)."""
+        """Return the 8-bit image (h, w) of a frame (H, W), subsampled by `every`, with the recording's contrast."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)

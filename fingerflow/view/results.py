@@ -127,7 +127,7 @@ class Results:
         return nanmedian(self.of_points(key, points))
 
     def range_of(self, key: str) -> tuple[float, float]:
-        """Return the range of the colour scale for all frames: symmetric about 0 for signed values, else from 0.
+        """Return the colour range for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
 
         It is computed from 24 frames, without 4 % of the values at either end.
         """
@@ -185,7 +185,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return the factor, to one digit, that draws the largest displacements as 40 px; 0 without displacement."""
+        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 without any."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")

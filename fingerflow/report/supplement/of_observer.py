@@ -36,7 +36,7 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Figure S11, of the metrics that the paper tests and the table has, without trials of fingers that slid."""
+    """Return figure S11: ideal observer of the paper's metrics in the table, without trials of fingers that slid."""
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
     missing = [name for name in _OBSERVED if name not in metrics]

@@ -44,7 +44,7 @@ class Sources:
         return press_field()
 
     def difference(self, metric: str) -> str:
-        """Return the column of a metric's difference, comparison less reference, or the metric's own without one."""
+        """Return the column of a metric's difference (comparison less reference), or the metric's own without one."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
