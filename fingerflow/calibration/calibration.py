@@ -17,7 +17,8 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Scale, transforms and discs of a rig. All pixels are those of a view, (x, y), integers at pixel centres.
+    """Calibration of a rig: image scale, transforms between the views, and the discs behind them. All pixels are those
+    of a view, (x, y), integers at pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
     `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
@@ -81,7 +82,7 @@ class Calibration:
 
 
 def is_calibration(path: Path) -> bool:
-    """Return True if a file is a calibration as `to_toml` writes it."""
+    """Return True if a file is a valid calibration file."""
     try:
         read_calibration(path)
     except CalibrationError:

@@ -140,7 +140,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return (agreement, x, y, radius) px of circles with locally maximal gradient agreement at one image reduction."""
+    """Return (agreement, x, y, radius) px of likely circles, by gradient direction, in an image reduced by a factor."""
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)

@@ -29,7 +29,8 @@ RAGGEDNESS_HARMONICS = range(3, 9)
 
 @dataclass(frozen=True)
 class Disc:
-    """A dark disc in a view, imaged as an ellipse. Pixels are those of the view, (x, y), integers at pixel centres.
+    """Measured dark disc of a view, which is imaged as an ellipse. Pixels are those of the view, (x, y), integers at
+    pixel centres.
 
     `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
     `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
@@ -93,7 +94,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 
 class _Unwrapped:
-    """Image in polar coordinates: grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}.
+    """Image unwrapped around an ellipse {p : |inverse (p - middle)| = 1}: grey levels (rays, radii).
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
@@ -120,7 +121,7 @@ class _Unwrapped:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return the edge position (N, 2), the steepest point, and angle (N,) of each ray that has an edge."""
+        """Return edge positions (N, 2) and angles (N,): on each ray the point of the steepest rise, if there is one."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)

@@ -1,4 +1,4 @@
-"""Registration of two views: correspondence of their discs, and the transform between them."""
+"""Registration of the two views: matching of discs between them, and the fitted transform."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations

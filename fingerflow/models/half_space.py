@@ -30,7 +30,7 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
 
 
 class Stress(NamedTuple):
-    """Stress in a half-space, in the unit of the load, tension positive; tau_yz > 0: upper side pulled along -y."""
+    """Stress in a half-space in the unit of the load, tension positive; tau_yz > 0: upper side pulled along -y."""
 
     sigma_y: Tensor
     sigma_z: Tensor

@@ -66,7 +66,7 @@ def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tenso
 
 
 def _worst(values: Tensor, allowed: Tensor) -> float:
-    """Return the first value outside the allowed range, for an error message."""
+    """Return the first value that violates a condition, for an error message."""
     wrong = values[~(allowed & values.isfinite())]
     return float((wrong if len(wrong) else values).flatten()[0])
 

@@ -1,5 +1,5 @@
-"""A chain of skin around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin deformation
-model"), derived from an energy.
+"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin
+deformation model"), derived from an energy.
 
 **Energy.** Elements i at X_i = (x, z) surround a rigid bone displaced by U; the plate is at z = 0. X_i0 is the
 undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.

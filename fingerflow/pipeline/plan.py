@@ -54,7 +54,7 @@ class Plan(NamedTuple):
 
 
 def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
-    """Return the plan that computes the requested outputs, with all stages that these depend on.
+    """Plan a run: return the stages for the requested outputs, and the stages that these depend on.
 
     None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
     output that does not exist or that the scene cannot give.

@@ -45,7 +45,7 @@ _SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """Cache key of a stage: a digest of everything that its results depend on, and the settings among these.
+    """Cache key of a stage: a digest of everything that its results depend on, and the values of its settings.
 
     Attributes:
         digest: of all of it.
@@ -72,7 +72,7 @@ class Reused(NamedTuple):
     computed: Mapping[type[Stage], str]
 
     def restore(self, stage: Stage) -> None:
-        """Copy results and warnings of a stage from the earlier result, instead of running the stage."""
+        """Copy a stage's results and warnings from the earlier result, instead of running the stage."""
         stage.restore(self.earlier)
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 

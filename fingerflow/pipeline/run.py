@@ -52,7 +52,7 @@ def process(
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> xr.Dataset:
-    """Compute `outputs` of a scene, running only the stages that these need.
+    """Compute the requested `outputs` of a scene, running only the stages that these need.
 
     Args:
         scene: from :func:`~fingerflow.schema.scene.load_scene`, or the path of its file.
@@ -157,7 +157,7 @@ def steps_to(
 
 @dataclass(frozen=True)
 class _Way:
-    """Options of a run: progress bar, next batch processed ahead in a second thread, and an earlier result to reuse."""
+    """Options of a run: progress bar, processing one batch ahead in a second thread, earlier result to reuse."""
 
     progress: bool = False
     ahead: bool = False

@@ -221,7 +221,7 @@ def _draw(
 
 
 def _whole(x: Values) -> tuple[float, float]:
-    """Return limits of the horizontal axis that include every frame, even frames without a value."""
+    """Return limits of the time or force axis that include every frame, even frames without a value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

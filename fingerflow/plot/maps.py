@@ -218,7 +218,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Draw lines of equal length along a principal strain direction, at the centres of some triangles."""
+    """Draw short lines along a principal strain direction at the centres of some triangles, all of equal length."""
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)

@@ -1,4 +1,4 @@
-"""Short digests that identify content."""
+"""Short digests that identify content of files and settings."""
 
 import hashlib
 import json
@@ -7,12 +7,12 @@ from typing import Any
 
 
 def digest_of(*parts: Any) -> str:
-    """Return a digest of 16 hexadecimal digits of values that JSON can represent."""
+    """Return a digest (16 hexadecimal digits) of values that JSON can represent."""
     return digest_of_bytes([json.dumps(parts, sort_keys=True).encode()])
 
 
 def digest_of_bytes(parts: Iterable[bytes | memoryview]) -> str:
-    """Return a digest of 16 hexadecimal digits (SHA-256) of bytes, one part after another."""
+    """Return a SHA-256 digest (16 hexadecimal digits) of a sequence of bytes objects."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)

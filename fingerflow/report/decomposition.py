@@ -17,7 +17,7 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Parts of a displacement field of P points, named by PARTS; NaN where unknown.
+    """Decomposition of a displacement field of P points into `parts`, named by PARTS; NaN where unknown.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.

@@ -64,7 +64,7 @@ class Section:
 
 @dataclass
 class _Figures:
-    """Collector of the figures of a page, which gives each a unique name."""
+    """Collection of a page's figures that keeps their names unique."""
 
     result: xr.Dataset
     names: set[str] = field(default_factory=set)

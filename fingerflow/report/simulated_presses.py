@@ -34,7 +34,7 @@ _RADII = 201
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Simulated presses at K frictions with one force trace of T times; `chain` holds (T, K, ...) in SI units."""
+    """Simulated presses at K frictions under one force trace of T times; `chain` is (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s

@@ -121,7 +121,7 @@ def trial_figure(trial: SlipTrial) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Parse the JSON attribute of a result that stores a dataclass, with null as NaN and lists as tuples."""
+    """Parse a dataclass stored as JSON in an attribute of a result; null becomes NaN, lists become tuples."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

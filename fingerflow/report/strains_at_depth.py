@@ -24,7 +24,7 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stress and strain at depths below the skin for K presses, at Y positions along the surface."""
+    """Stress and strain below the surface in K presses, at Y positions along the surface and several depths."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm

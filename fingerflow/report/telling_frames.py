@@ -115,7 +115,7 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return at most five key frames in order of time, apart by 2 % of the recording; earlier entries are preferred."""
+    """Return up to five key frames in order of time, at least 2 % of the recording apart; earlier entries win."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

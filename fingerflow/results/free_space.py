@@ -18,7 +18,7 @@ _GB = 1e9
 
 
 def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
-    """Return the size in bytes of variables in memory, if all requested points are found.
+    """Return the size in bytes that variables of a result take in memory, if all requested points are found.
 
     There are two triangles per point; the regions of cells are neglected.
     """

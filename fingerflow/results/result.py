@@ -1,4 +1,4 @@
-"""Result files in HDF5/NetCDF4."""
+"""Reading and writing of result files in HDF5/NetCDF4."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -36,7 +36,7 @@ def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None
 
 
 def load_result(path: Path) -> xr.Dataset:
-    """Read a file that :func:`save_result` or `process` wrote.
+    """Read a result file that :func:`save_result` or `process` wrote.
 
     Raises FingerflowError where the file is missing or is something else.
     """
@@ -68,7 +68,7 @@ class StoredValues(NamedTuple):
 
 
 class Own(dict[str, StoredValues]):
-    """Variables of a result file by name, with the attributes of the file."""
+    """Variables of a result file that this process wrote, by name, with the attributes of the file."""
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
@@ -110,7 +110,7 @@ def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
 
 
 def scene_of(path: Path) -> Path:
-    """Return the scene file from which a result was computed.
+    """Return the path of the scene file from which a result was computed.
 
     Raises FingerflowError where the file is no result, or its scene file does not exist any more.
     """

@@ -61,7 +61,7 @@ class Store(ABC):
         return values
 
     def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
-        """Create a variable and write all of its values."""
+        """Create a variable in the store and write all of its values."""
         self.create(name, attributes, **sizes)[:] = values
 
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
@@ -89,7 +89,7 @@ class Store(ABC):
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Add the coordinates and the global attributes; nothing may be written afterwards."""
+        """Add coordinates and global attributes to the results; nothing may be written afterwards."""
 
 
 class MemoryStore(Store):

@@ -1,4 +1,4 @@
-"""Results folder of a stream: format, reading and writing."""
+"""Results folder of a stream: its format, reader and writer."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def read_results(folder: str | Path) -> StreamResults:
 
 
 def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
-    """Write the scalars and components of each frame as CSV, one row per frame.
+    """Write a CSV table of a stream's results with one row per frame: scalars and components of vectors.
 
     Columns are named as by `fingerflow export-table`. Raises PlayerError where the file cannot be written, or exists
     without `overwrite`.
@@ -117,7 +117,7 @@ class Sink:
         self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
-        """Create the results folder, as a whole or not at all; raise PlayerError if it exists or cannot be made."""
+        """Create the results folder completely or not at all; raise PlayerError if it exists or cannot be made."""
         with self._said():
             self._make()
         self._made = True

@@ -20,7 +20,7 @@ _TRACKED = 0  # flag of `status`
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
-    """Open the results of a stream as a data set.
+    """Return the results folder of a stream as a labelled data set.
 
     Variables have the names, dimensions, units, definitions and flags of :func:`fingerflow.process`, as far as a stream
     has them.
@@ -86,7 +86,7 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
 
 
 def _medians(values: Array) -> Array:
-    """Return the median of the finite values in each row (F, N); NaN where there are none."""
+    """Return the median (F,) over the finite values in each row of values (F, N); NaN for rows without any."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 

@@ -17,7 +17,7 @@ class CalibrationError(Exception):
 
 
 class TransformRows(NamedTuple):
-    """Transform between views and its residuals.
+    """Transform between the two views in a calibration file: its matrix rows and its residuals.
 
     Attributes:
         matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
@@ -44,7 +44,7 @@ class CalibrationFile(NamedTuple):
     warnings: tuple[str, ...]
 
     def matrix(self) -> list[list[float]] | None:
-        """Return [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
+        """Return the affine transform [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
 
         Returns None where the calibration holds only a scale.
         """

@@ -59,7 +59,7 @@ class Checked:
 
 
 def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tuple[Checked, list[Problem]]:
-    """Check the content of a scene file.
+    """Check the parsed content of a scene file; return it with defaults, and the problems found.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -201,14 +201,14 @@ class _Check:
                 self._fits_the_views(rule)
 
     def _blame(self, key: str, said: str) -> None:
-        """Record a problem of a key that other keys contradict; the message shows its value as written in the file."""
+        """Record a problem of a key that conflicts with other keys, quoting its value as written in the file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
         self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
     def _at(self, key: str) -> Any:
-        """Return the value of a dotted key; None if it is missing or invalid."""
+        """Return the checked value of a key, given as a dotted path; None if it is missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
             value = None if value is None else value.get(name)
@@ -264,7 +264,7 @@ class _Check:
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
-        """Record a problem unless exactly one key of the rule's table is given; set a missing table to None."""
+        """Record a problem unless a table has exactly one of its keys; set a table that is left out to None."""
         place, _, name = rule.key.rpartition(".")
         table, around = self._at(rule.key), self._at(place)
         if not table or place not in self.given:  # a role shares the region of its view

@@ -1,4 +1,4 @@
-"""Reader of scene files that reports each problem in a line: file, line, key, value, remedy."""
+"""Reader of scene files that reports each problem in one line of text: file, line, key, value, remedy."""
 
 import re
 import tomllib
@@ -31,7 +31,7 @@ def read_scene(path: Path, reader: Reader) -> Checked:
 
 
 def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
-    """Return the validated content of a text that is to be written to the file `path`; raise as :func:`read_scene`."""
+    """Return the validated content of a text that will be written to the file `path`; raise as :func:`read_scene`."""
     try:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -44,7 +44,7 @@ def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
 
 
 def _line(text: str, keys: Keys) -> int:
-    """Return the line number of a key, else of the nearest enclosing table that the text sets or opens, else 1."""
+    """Return the line number of a key in the text of a scene file, else of the nearest enclosing table, else 1."""
     table: Keys = ()
     longest, result = 0, 1
     for number, line in enumerate(text.splitlines(), start=1):

@@ -28,7 +28,7 @@ class NumberType:
 
 @dataclass(frozen=True)
 class Whole(NumberType):
-    """Type of a key for an integer without a decimal point; ``odd`` for the side of a window with a middle pixel."""
+    """Type of a key for an integer; ``odd`` if it must be odd, as the side of a window with a middle pixel."""
 
     odd: bool = False
 
@@ -53,14 +53,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Column:
-    """Type of a key for a column's name or number from 1; if ``several`` > 1, also for a list of at most that many."""
+    """Type of a key that names a column, or numbers it from 1; if ``several`` > 1, also a list of up to that many."""
 
     several: int = 1
 
 
 @dataclass(frozen=True)
 class Each:
-    """Type of a key for force channels: one number for all, or a list, normal first; each in ``among`` if not empty."""
+    """Type of a key with one number for all forces or a list, normal first; numbers are in ``among`` if not empty."""
 
     number: NumberType = NumberType()
     among: tuple[float, ...] = ()
@@ -378,7 +378,7 @@ class NotBefore:
 
 @dataclass(frozen=True)
 class Together:
-    """Rule: if the key is given, the other must be given too."""
+    """Rule: if `key` is given in the scene file, `other` must be given too."""
 
     key: str
     other: str
@@ -388,7 +388,7 @@ class Together:
 
 @dataclass(frozen=True)
 class NotBoth:
-    """Rule: at most one of two keys is given."""
+    """Rule: at most one of `key` and `other` is given in the scene file."""
 
     key: str
     other: str
@@ -414,7 +414,7 @@ class InPlaceOf:
 
 @dataclass(frozen=True)
 class Inside:
-    """Rule: a rectangle lies within a view."""
+    """Rule: the rectangle in `key` lies within the view `view`."""
 
     key: str
     view: str
@@ -422,14 +422,14 @@ class Inside:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Rule: a table that is given has exactly one of its keys."""
+    """Rule: the table `key`, if given, has exactly one of its keys."""
 
     key: str
 
 
 @dataclass(frozen=True)
 class FitsTheViews:
-    """Rule: the calibration maps the pixels of one view to the other and was made with these views."""
+    """Rule: the calibration has a transform from one view to the other, and was made with the views of the scene."""
 
     key: str
     scale: str

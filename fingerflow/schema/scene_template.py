@@ -35,7 +35,7 @@ def scene_text(
     region: View | None = None,
     slip: bool = False,
 ) -> str:
-    """Return the text of a commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
+    """Return the text of a new scene file with comments, whose defaults suit the two-view rig of Willemet et al. 2021.
 
     ``calibration`` is the content of the table [calibration] in TOML. ``region`` is the part of the topography view
     where points are seeded. With ``slip`` the scene is a trial of tangential loading.
@@ -64,7 +64,7 @@ def scene_text(
 
 
 def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
-    """Return the text of a scene file for a soft sensor with printed markers and frames of (height, width) px."""
+    """Return the text of a new scene file for a soft sensor with printed markers; frames have (height, width) px."""
     height, width = frame_shape
     camera = views_of(KINDS["soft_sensor"]).keys["camera"]
     lines = [_commented('kind = "soft_sensor"', "its own frames show the gel at rest: no [background] is needed")]

@@ -1,4 +1,4 @@
-"""Validation of a single setting: its value, or a message that says what is wrong with it."""
+"""Validation of single settings: conversion of a value, or a message that says why it is invalid."""
 
 import math
 import re
@@ -32,7 +32,7 @@ class WrongValue(Exception):
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """Convert a TOML value to the type of its key: float for numbers, tuples for ranges, matrices; raise WrongValue."""
+    """Convert a TOML value by the type of its key: numbers to float, ranges, matrices to tuples; raise WrongValue."""
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -117,7 +117,7 @@ def _choice(kind: Choice, value: Any) -> Any:
 
 
 def seconds_of(moment: Any) -> float | None:
-    """Return the seconds from the trigger that a `Moment` such as "0.25 s" states; None for a word or a frame."""
+    """Return the time in s from the trigger in a text such as "0.25 s"; None for a word or a frame number."""
     found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
     return None if found is None else float(found.group(1))
 

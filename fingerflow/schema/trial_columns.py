@@ -1,4 +1,4 @@
-"""Columns of the table of trials: name, unit, definition and shown unit of each, as written to `variables.csv`.
+"""Definition of the columns in a study's table of trials: name, unit, meaning, as written to `variables.csv`.
 
 Without a suffix a column is the value shown in figures; with `_at_1n`, `_at_onset` and so on it is the value at that
 moment. `_std` is its standard deviation.

@@ -30,7 +30,7 @@ def unfinished(path: Path) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with its content; ignore failures, because an earlier error is the one to report."""
+    """Remove a file, or a folder with its content, without raising errors, so that an earlier error remains visible."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

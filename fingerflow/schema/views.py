@@ -1,4 +1,4 @@
-"""Views: rectangles of a camera frame, which may hold several views of the finger next to each other."""
+"""Views: rectangles of a camera frame, as one frame may show the finger in several views side by side."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,11 +47,11 @@ class View:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (height, width) px."""
+        """Return (height, width) of the view, px."""
         return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
 
     def crop(self, frame: Any) -> Any:
-        """Return the view's part of a frame (..., H, W), an array or a tensor, without a copy.
+        """Return the part of a frame (..., H, W), an array or a tensor, that the view covers, without a copy.
 
         Raises FingerflowError where the view does not fit into the frame.
         """

@@ -1,4 +1,4 @@
-"""Settings by which the C library's allocator keeps freed memory."""
+"""Setting of the C library's memory allocator so that freed memory stays with the process."""
 
 import ctypes
 import platform

@@ -108,7 +108,7 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is certainly unchanged; a digest of samples counts only with an unchanged time."""
+    """Return True if a file is certainly unchanged; for a sampled digest, its time must be unchanged too."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 

@@ -98,6 +98,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if a sentence on missing panels concerns only panels that are replaced by curves."""
+    """Return True if all panels that a sentence reports as missing are replaced by curves."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -174,7 +174,7 @@ class _Trial:
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return values on `FORCE_GRID`, None at forces that are not reached; None if nothing is known."""
+        """Return a series at the forces of `FORCE_GRID`, None where not reached; None if nothing is known."""
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 

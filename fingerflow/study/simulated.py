@@ -33,7 +33,7 @@ _FRAMES, _FRAME_SHAPE, _FINGER = 40, (224, 560), (3.6, 3.4)
 
 @dataclass(frozen=True)
 class Design:
-    """Design of a simulated study.
+    """Design of a simulated study: participants, conditions, skin and observer.
 
     Attributes:
         participants: the second half of them has softer skin.
@@ -61,7 +61,7 @@ class Design:
 
     @cached_property
     def frictions(self) -> Values:
-        """Return the friction coefficients (C,) of the conditions."""
+        """Return the friction coefficient of each of C conditions, (C,)."""
         low, high = self.friction
         amplitudes = np.asarray(self.amplitudes)
         result: Values = low * (high / low) ** (amplitudes / max(amplitudes.max(), 1e-9))

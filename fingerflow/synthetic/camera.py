@@ -12,7 +12,8 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True)
 class Camera:
-    """A monochrome camera. All levels are stated for 8 bit and scale with the range of a deeper camera.
+    """Camera for monochrome images with noise. All levels are stated for 8 bit and scale with the range of a deeper
+    camera.
 
     Args:
         bit_depth: 8 to 16; frames are uint8 for 8 bit and uint16 above.
@@ -52,7 +53,7 @@ class Camera:
         return (light + self.dark) * self.levels
 
     def variance(self, clean: Tensor) -> Tensor:
-        """Return pixels' noise variance at noise-free levels `clean`, in squared grey levels, without quantisation."""
+        """Return the noise variance of pixels with noise-free levels `clean`, in squared grey levels, unquantised."""
         scale, dark = self.levels, self.dark * self.levels
         at_half = (self.noise * scale) ** 2
         shot = at_half * self.shot_share / (127.5 * scale - dark)

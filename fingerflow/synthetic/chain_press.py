@@ -162,7 +162,7 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return the cubic spline coefficients for values on a grid, with mirrored ends and one more on each side."""
+    """Return cubic spline coefficients for values on a grid, with mirrored ends and padded by one on each side."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 

@@ -71,7 +71,7 @@ class FingerprintTexture:
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the distance inside a touching ridge (see `Skin`); pores and border reduce the touching `share`."""
+        """Return the distance inside a touching ridge, as `Skin` defines it; pores and border reduce `share`."""
         height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]

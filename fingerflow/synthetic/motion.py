@@ -83,7 +83,7 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of skin motion by position (x, y) and progress 0 to 1: tensors that broadcast, float32 or float64."""
+    """Interface of a skin motion, by position (x, y) and progress, tensors that broadcast, float32 or float64."""
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int

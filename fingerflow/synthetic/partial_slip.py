@@ -20,7 +20,7 @@ _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the st
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip(Slide):
-    """Slide with linearly rising load ratio T/N, whose stick region is that of the partial-slip model at this load.
+    """Slide under linearly rising load ratio T/N, with the stick region of the partial-slip model at each load.
 
     d² follows equation 5 of Terekhov & Hayward (2011) up to the critical load. If kinetic friction is the smaller one,
     the critical area then collapses at constant load, linearly in time; otherwise it has faded to nothing. From then on

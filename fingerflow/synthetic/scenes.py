@@ -88,7 +88,7 @@ class SyntheticScene:
 
     @cached_property
     def truth(self) -> Truth:
-        """Return the ground truth of the quantities that a pipeline measures."""
+        """Return the ground truth of this scene, to compare with results of a pipeline."""
         return Truth(
             motion=self.motion,
             progress=self.progress(self.times),
@@ -114,12 +114,12 @@ class SyntheticScene:
         return self._picture(None, dtype)
 
     def empty(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return an image (H, W) of the glass without a finger, with camera noise that depends on the number."""
+        """Return a noisy camera image (H, W) of the glass without a finger; each number `picture` has its own noise."""
         clean = torch.from_numpy(self.empty_clean())
         return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
 
     def dark(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return an image without light, with camera noise that depends on the number."""
+        """Return a noisy camera image without light; each number `picture` has its own noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
     def forces(self) -> SyntheticForces:
@@ -145,7 +145,7 @@ class SyntheticScene:
         raise NotImplementedError
 
     def time_of(self, progress: Array) -> Array:
-        """Return the time in s at which a progress is reached."""
+        """Return the time in s at which the movement reaches a progress from 0 to 1."""
         raise NotImplementedError
 
     def normal_force(self, time: Array) -> Array:

@@ -63,7 +63,7 @@ class RidgeTexture:
         return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
 
     def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the phase of the ridges at (x, y) in rad, 2 pi from crest to crest.
+        """Return the phase of the ridge pattern at material positions (x, y) in rad, 2 pi from crest to crest.
 
         The gradient is therefore close to 2 pi / period.
         """

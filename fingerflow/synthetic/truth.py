@@ -118,12 +118,12 @@ class Truth:
         return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
-        """Return the area of the apparent contact, an ellipse, mm²."""
+        """Return the area of the elliptic apparent contact in a frame, mm²."""
         ellipse = self.ellipse(frame)
         return 0.0 if ellipse is None else ellipse.area
 
     def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Return the real contact area (mm²), by quadrature with samples_per_px² partly filled cells per pixel."""
+        """Return the real contact area (mm²) in a frame, by quadrature with samples_per_px² cells per pixel."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
@@ -164,7 +164,7 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient (..., 2, 2) of each point's neighbourhood since the point's own onset.
+        """Return the displacement gradient (..., 2, 2) from each point's onset on, of all skin around the point.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -255,7 +255,7 @@ class Truth:
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of the contact depth by position (..., 2) and by progress (...)."""
+        """Return derivatives of the dimensionless contact depth by position (..., 2) and by progress (...)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)

@@ -71,7 +71,7 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """Begin the contact stage; `before` is a previewer of the same recording, views and background, or None."""
+        """Begin the contact stage; `before` is a previewer with the same recording, views and background, or None."""
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)

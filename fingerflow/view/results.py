@@ -40,7 +40,7 @@ class Results:
         }
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the result file."""
         self.data.close()
         self._stored.clear()
         self._file.close()

@@ -60,14 +60,14 @@ class Served:
         self._server = uvicorn.Server(config)
 
     def run(self) -> None:
-        """Serve until interrupted, then close the session."""
+        """Serve the page until interrupted, then close the session."""
         try:
             self._server.run(sockets=[self._socket])
         finally:
             self.session.close()
 
     def __enter__(self) -> Self:
-        """Serve in a separate thread."""
+        """Serve the page in a separate thread."""
         self._thread = threading.Thread(target=self.run, name="view")
         self._thread.start()
         return self

@@ -61,7 +61,7 @@ class Session:
         return {"ready": True}
 
     def close(self) -> None:
-        """End running commands and close files."""
+        """End running commands and close the open files."""
         for run in self._runs.values():
             run.end()
         with self._lock:
@@ -314,7 +314,7 @@ class Session:
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the time series of one point with its status, or the median of several with their number, packed."""
+        """Return the time series of one point with status, or the median of several points with their number."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()

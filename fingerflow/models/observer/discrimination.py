@@ -146,7 +146,7 @@ def _estimate(
     resamples: int,
     seed: int,
 ) -> Estimate:
-    """Estimate a statistic and its interval from classes of trials, each of which needs ``fewest`` trials."""
+    """Estimate a statistic and its interval from one or two classes of trials, each with at least ``fewest``."""
     values, samples, missing = samples_of(kinds, participants)
     value, interval = math.nan, UNKNOWN
     if min(samples.sizes) < fewest:
@@ -169,7 +169,7 @@ def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Valu
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return quantiles (R,) of R resamples that contain each value `weights` times; linear, as NumPy's."""
+    """Return the quantile in each of R resamples (R,), in which values occur `weights` times; linear."""
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

@@ -16,7 +16,7 @@ _STREAM = 0x6A0  # added to the seed: data simulated with the same seed must not
 
 @dataclass(frozen=True)
 class Groups:
-    """Result of `participant_groups`; NaN where a number cannot be computed.
+    """Result of `participant_groups`: fit of two groups with its test; NaN where a number cannot be computed.
 
     Attributes:
         groups: 2 where the bootstrap test is significant at 5 %, else 1; 0 where it cannot be determined.

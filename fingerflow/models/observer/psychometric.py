@@ -28,7 +28,7 @@ _LOGIT = 15.0  # rates of 1e-7
 
 @dataclass(frozen=True)
 class PsychometricFit:
-    """Result of `fit_psychometric`; NaN where the data do not determine a number.
+    """Fitted psychometric curve with intervals (`fit_psychometric`); NaN where the data do not determine a number.
 
     Attributes:
         threshold: the stimulus at which the share of answers is `share`; its `interval` at `level` contains it, and a

@@ -58,7 +58,7 @@ class MixedModel:
 
 
 def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Compute the linear correlation of pairs, with an interval by Fisher's transformation for independent pairs.
+    """Compute Pearson's correlation of pairs, with an interval by Fisher's transformation for independent pairs.
 
     The result is NaN, with the reason, for fewer than 4 pairs or a constant. Raises ValueError if the lengths differ or
     the level is not between 0 and 1.
@@ -67,7 +67,7 @@ def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correla
 
 
 def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Compute the rank correlation of pairs, ties at mean ranks.
+    """Compute Spearman's rank correlation of pairs; ties have mean ranks.
 
     The interval is Fisher's, with the variance of ranks (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as
     `pearson`.

@@ -38,7 +38,7 @@ def observe(
     resamples: int = 2000,
     seed: int = 0,
 ) -> dict[str, MetricSummary]:
-    """Compute the ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
+    """Compute for each metric the ideal observer of Willemet et al. 2021 (figure S11 and its table).
 
     Args:
         trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.

@@ -1,4 +1,4 @@
-"""Statistics of R bootstrap resamples at once, each given by how often it contains each trial (weights)."""
+"""Statistics of R bootstrap resamples at once; weights say how often a resample contains each trial."""
 
 from collections.abc import Callable
 

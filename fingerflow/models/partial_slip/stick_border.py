@@ -35,7 +35,7 @@ _FEWEST = 8  # distances with a displacement
 
 
 class BorderFit(NamedTuple):
-    """Fitted position of the border and growth of the displacement beyond it.
+    """Result of `fit_border`: position of the border, and growth of the displacement beyond it.
 
     Attributes:
         growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
@@ -61,7 +61,7 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return window means of a displacement x^p beyond a border, for windows at (K,) mm from it, negative inside."""
+    """Return means over windows at distances (K,) mm from a border of a displacement x^p beyond it; negative inside."""
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 

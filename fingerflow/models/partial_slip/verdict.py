@@ -214,7 +214,7 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _complete_loss(area: Values) -> int | None:
-    """Return the first frame after which the stuck area share d^2 stays at 0.05 or less up to the end; None if none."""
+    """Return the first frame from which on the stuck area share d^2 is 0.05 or less up to the end; None if none."""
     known = np.flatnonzero(np.isfinite(area))
     still = np.flatnonzero(area[known] > SMALLEST_AREA)
     after = still[-1] + 1 if still.size else 0

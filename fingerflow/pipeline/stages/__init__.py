@@ -1,4 +1,4 @@
-"""Stages of the pipeline: `all_stages` finds every `Stage` defined in a file of these folders."""
+"""Stages of the pipeline, each a step of the processing; `all_stages` finds all that these folders define."""
 
 from functools import cache
 from importlib import import_module

@@ -49,7 +49,7 @@ class RunContext:
     stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
-        """Return the run's stage of a class, or the stage that replaces it; it runs in this or an earlier pass."""
+        """Return this run's instance of a stage class or of its replacement, from this pass or an earlier one."""
         found = self.stages[kind]
         assert isinstance(found, kind)
         return found
@@ -117,7 +117,7 @@ class Stage:
         return False
 
     def begin(self) -> None:
-        """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
+        """Prepare before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
         """Compute the results of a batch of frames; later stages of the pass get the returned value by `Batch.of`.
@@ -126,7 +126,7 @@ class Stage:
         """
 
     def finish(self) -> None:
-        """Compute the results that need all frames, and warnings."""
+        """Compute the results that need all frames, after the last batch, and warnings."""
 
     def restore(self, earlier: xr.Dataset) -> None:
         """Copy the stage's results from an earlier result, instead of running begin, step, finish and derive."""

@@ -38,6 +38,6 @@ class ForceTable:
 
 
 def split_unit(heading: str) -> tuple[str, str | None]:
-    """Return name and unit of a heading: 'normal_force (mN)' or 'normal_force [mN]' is normal_force in mN."""
+    """Split a column heading into name and unit: 'normal_force (mN)' or 'normal_force [mN]' is normal_force in mN."""
     match = re.fullmatch(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", heading)
     return (match.group(1).strip(), match.group(2)) if match and match.group(1) else (heading.strip(), None)

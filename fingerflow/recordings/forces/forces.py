@@ -17,7 +17,7 @@ Samples = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Force channels sampled at common times.
+    """Force channels with common sample times.
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
     "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `trigger_time`: s on
@@ -81,7 +81,7 @@ class Forces:
         return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
-        """Return every channel at the times of the frames, low-passed to half the frame rate.
+        """Return every channel at the times of the frames, low-passed to half of the frame rate.
 
         frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
         frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces

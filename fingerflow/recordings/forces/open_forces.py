@@ -170,7 +170,7 @@ def _is_time(name: str) -> bool:
 
 
 def force_columns(path: str | PathLike[str]) -> list[str]:
-    """Return the column names of a file of forces in its order; raise FingerflowError where it cannot be read."""
+    """Return the column names of a force file in order; raise FingerflowError if the file cannot be read."""
     return list(_read_table(Path(path)).columns)
 
 

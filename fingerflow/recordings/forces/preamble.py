@@ -24,7 +24,7 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """Return the table of a text: its consecutive lines of numbers, with the heading above them.
+    """Return the table in a text: consecutive lines of numbers, with the heading above them.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
@@ -99,7 +99,7 @@ def cells_of(line: str, separator: str | None) -> list[str]:
 
 
 def is_numeric(cells: Sequence[str]) -> bool:
-    """Return whether all cells that are not empty are numbers, and at least one is."""
+    """Return whether a line's cells are numbers, apart from empty ones, and at least one is."""
     try:
         for cell in filter(None, cells):
             float(cell.replace(",", "."))

@@ -99,7 +99,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
-    """Return one frame by its offset in the file, which may be of any size."""
+    """Return one frame, located by its offset in the file."""
     # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
     start = int(offsets[index])
     start += _unsigned(data[start : start + 4])

@@ -1,4 +1,5 @@
-"""Checksums of FFV1 video. FFmpeg detects a wrong one, but fills the slice with old pixels and only logs it.
+"""Check of FFV1 video packets by their checksums. FFmpeg detects a wrong one, but fills the slice with old pixels and
+only logs it.
 
 Source: RFC 9043, sections 4.4 (slices and their footers) and 4.9.3 (slice_crc_parity): a packet is a row of slices,
 each with a footer of its size in 3 bytes, a byte of status and a CRC that makes the CRC of the whole slice 0. The

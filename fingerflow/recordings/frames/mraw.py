@@ -42,7 +42,7 @@ XML_PLACES = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a Photron recording by its pixel or header file; raise FingerflowError if either is missing or unusable."""
+    """Open a Photron recording by either of its files; raise FingerflowError if the other is missing, or for colour."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
     else:

@@ -1,4 +1,4 @@
-"""Opening of recordings: selection of the reader for a path."""
+"""Opening of a recording by the reader for its file format."""
 
 from __future__ import annotations
 

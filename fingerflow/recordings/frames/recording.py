@@ -83,13 +83,13 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the lossy codec if it predicts frames from others (deviations are then invalid), else None."""
+        """Return the lossy codec if it predicts frames from others, which invalidates deviations; else None."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
-        """Return the damaged frames by index, with the reason in words that follow "frame 12".
+        """Return the damaged frames by index, each with a reason that continues the words "frame 12".
 
         Such a frame is read as NaN, or as 0 for integer pixels; no result may be computed from it. Damage that no
         header states (videos, compressed pages) is known only after the frame was read, so check this again after
@@ -98,7 +98,7 @@ class Recording(ABC):
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return the number of complete frames."""
+        """Return the number of frames, without incomplete ones."""
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
@@ -300,7 +300,7 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of steps between successive frames. For a few indices a Python loop is faster than NumPy."""
+    """Return the set of differences of successive frames. For a few indices a Python loop is faster than NumPy."""
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}

@@ -23,7 +23,7 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
+    """Open a TIFF stack by its page tags; raise FingerflowError for colour, two axes of frames or differing pages.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.

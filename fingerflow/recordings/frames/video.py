@@ -203,7 +203,7 @@ class VideoRecording(FileRecording):
 
 @dataclass(frozen=True)
 class _Index:
-    """Positions of the frames of a video in time and in the file.
+    """Index of a video: frame times, and frames at which decoding can start.
 
     `stamps`: ticks in display order, None if the file has no usable ones (then decoding always starts at the
     beginning). `keys`: numbers of the frames at which decoding can start, in order. `numbers`: frame numbers by stamp.
@@ -287,7 +287,7 @@ def unfinished(path: Path) -> str:
 
 
 def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return Matroska's variable-size integer at a position (None if it means "unknown"), and where it ends."""
+    """Return a variable-size integer (Matroska) and where it ends; None if its value is stored as unknown."""
     first = data[at] if at < len(data) else 0
     width = 9 - first.bit_length()
     if width > 8:

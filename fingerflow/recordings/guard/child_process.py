@@ -71,7 +71,7 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child traverse a file; return what is wrong ("" for nothing or without a child), or its content."""
+        """Let the child process traverse a file; return what is wrong with it, "" if nothing, or its content."""
         with self._lock:
             process = self._running()
             if process is None:

@@ -34,7 +34,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Run `through` on a file under limits of time and memory; return what is wrong, "" for nothing, or content."""
+    """Run `through` on a file with limits of time and memory; return what is wrong, "" if nothing, or content."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -71,7 +71,8 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """Return the content of a MATLAB file as :func:`as_json`, or what is wrong with it.
+    """Return the content of a MATLAB file in JSON types (see :func:`as_json`), or a text on what is wrong with the
+    file.
 
     SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
     elsewhere. Therefore the values themselves are passed on.
@@ -114,7 +115,7 @@ def as_json(value: Any) -> Any:
 
 
 def through_tdms(path: str) -> str:
-    """Traverse the segments of a TDMS file and their metadata, without values; return ""."""
+    """Traverse the segments of a TDMS file and their metadata, without values; return "" if that succeeds."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(path):
@@ -122,7 +123,7 @@ def through_tdms(path: str) -> str:
 
 
 def through_video(path: str) -> str:
-    """Open a video and let FFmpeg read its header, its index and the first frames; return ""."""
+    """Open a video and let FFmpeg read its header, index and first frames; return "" if that succeeds."""
     import av
 
     with av.open(path, metadata_errors="replace"):

@@ -36,7 +36,7 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Return figure S11: ideal observer of the paper's metrics in the table, without trials of fingers that slid."""
+    """Return figure S11: the ideal observer for the paper's metrics, without trials in which the finger slid."""
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
     missing = [name for name in _OBSERVED if name not in metrics]

@@ -36,7 +36,7 @@ _Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
 
 
 def friction_and_area(sources: Sources) -> Sheet:
-    """Return figure S1: friction from the tribometer trace, contact area from the table of trials."""
+    """Return figure S1: friction from the tribometer trace, contact areas from the table of trials."""
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
@@ -84,7 +84,7 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7, displacement and force angle: D and E show differences if the table has them."""
+    """Return figure S7: displacement and force angle; D and E use differences if the table has them."""
     found, lacking = _from_table(
         sources,
         (
@@ -99,7 +99,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8, surface strain: B, D, E and F from the skin chain, H with differences if the table has them."""
+    """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
     chain = (
         SheetPanel(
             "B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses, (LOW, HIGH)), columns=3, rows=2

@@ -1,4 +1,4 @@
-"""Conversion of a result to a table with rows and named columns."""
+"""Conversion of a result to a table of rows and named columns."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from fingerflow.schema.variable_record import LABELS
 
 
 class Table(NamedTuple):
-    """Table with the `names` (C,) of its columns including units, and `rows` (R, C)."""
+    """Table with C columns, whose `names` (C,) include units, and R `rows` (R, C)."""
 
     names: tuple[str, ...]
     rows: NDArray[np.float64]

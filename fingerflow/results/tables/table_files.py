@@ -26,7 +26,7 @@ def export_table(
     variables: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a table as .csv, or the whole result as .mat.
+    """Write a table of selected variables as .csv, or the whole result as .mat.
 
     Args:
         result: of `process`, or of a stream.
@@ -55,7 +55,7 @@ def export_table(
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
-    """Write a variable of points or triangles on a regular grid of the glass, for every frame.
+    """Write maps of a variable of points or triangles on a regular grid of the glass, one for every frame.
 
     Args:
         result: of `process`.

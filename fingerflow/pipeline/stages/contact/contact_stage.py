@@ -131,8 +131,8 @@ class ContactStage(Stage):
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the mask (1, 1, h, w) of the gross contact in the reference frame, joined with that in the first
-        usable frame if needed.
+        """Return the mask (1, 1, h, w) of the gross contact in the reference frame, joined with the first usable
+        frame's if that lies outside.
 
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
         has left its first region since, and skin there has no onset to wait for.
@@ -141,8 +141,7 @@ class ContactStage(Stage):
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the mask (1, 1, h, w) that joins the gross contacts of the first usable and the reference frame, with
-        a margin.
+        """Return the mask (1, 1, h, w) of the gross contact in the first usable or the reference frame, with a margin.
 
         A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
         sides of the contact border.

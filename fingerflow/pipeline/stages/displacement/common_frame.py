@@ -31,7 +31,7 @@ class CommonFrame(NamedTuple):
 
 
 def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Compute the positions that points of a recording had, or would have had, at the first seeding.
+    """Compute the positions that all points had, or would have had, at the first seeding of points.
 
     They were first seeded in frame `first` and tracked from there, forward or `backward`.
 
@@ -58,7 +58,7 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
 
 
 def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
-    """Return for each point in `later` (L,) the frame in which it was seeded.
+    """Return the frame in which each of the points `later` (L,), which are indices, was seeded.
 
     That is the first frame in which they are tracked, or the last one for backward tracking.
     """

@@ -206,7 +206,7 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement since each point's touch in frames `indices` (n,), which continue earlier ones."""
+        """Return the displacement since each point's touch in the next frames `indices` (n,) of a series."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
@@ -293,7 +293,7 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return positions (..., N, 2) mm of N points, each in its own frame of `frames` (..., N); -1 is the last."""
+        """Return positions (..., N, 2) mm of N points, each in the frame given for it (..., N); -1 is the last."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
@@ -311,7 +311,7 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Read `values` (frames, N, ...) of P `points`, all by default, each in its own frame of `frames` (..., P)."""
+    """Return `values` (frames, N, ...) of P `points`, all by default, each in the frame given for it (..., P)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

@@ -20,8 +20,8 @@ EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact
 
 
 class MedianBias:
-    """Additional variance of medians over T frames of divergence, curl and strain (exx, eyy, exy), beyond errors of
-    points.
+    """Variance of medians in T frames beyond errors of points; medians are of divergence, curl and strain (exx, eyy,
+    exy).
 
     It has four parts:
 
@@ -78,7 +78,7 @@ class MedianBias:
         self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
     def square(self) -> NDArray[np.float64]:
-        """Return the additional variance (T, 5) of the medians of divergence, curl, exx, eyy and exy in T frames.
+        """Return the variance (T, 5) of medians beyond errors of points, in T frames: divergence, curl, exx, eyy, exy.
 
         Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
         NaN if there is none.
@@ -93,7 +93,7 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of the medians in n frames that results from the uncertain rank of each median.
+    """Return the variance (n, 5) of the medians in n frames because the rank of the median is uncertain.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.

@@ -83,7 +83,7 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """Compute distances between collected frames of a view and the frames before them, from their block means."""
+        """Compute distances between the latest frames of a view and the frames before them, from block means."""
         blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
         self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]

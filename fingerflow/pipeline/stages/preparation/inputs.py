@@ -127,7 +127,7 @@ class Inputs:
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
-    """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
+    """Return the frames (n, H, W) of a recording as array. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()
     except OSError as error:  # `written_atomically` would report it as an error of the output file
@@ -138,7 +138,7 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Open the recording of a scene and check that its views fit.
+    """Open the recording of a scene, and check that the scene's views lie within its frames.
 
     `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
 

@@ -20,7 +20,8 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Blurred displacement that dense flow measures beside a border beyond which the true displacement is x^p at x mm.
+    """Response of dense flow to a slip border: the displacement it measures where the true one is x^p at x mm beyond
+    the border.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
@@ -64,7 +65,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of the flow along an axis: measured less true displacement of a displaced picture.
+    """Return the mean error (K,) px of the flow along an axis, on a picture with a known displacement.
 
     `distances` (K,) px are beyond the border.
     """

@@ -34,8 +34,7 @@ class FlowMotion(NamedTuple):
 
 
 class SkinFlow:
-    """Dense flow (`ops.dense_flow`) from the first picture to each later one; the last two results give the start
-    value.
+    """Dense flow (`ops.dense_flow`) from the first picture to each later one, starting from the last two results.
 
     The smoothness is set for a slipping rim. With the default of `ops.dense_flow`, for a finger that widens evenly,
     errors on `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the slip region; with this one they are 0.05 to
@@ -71,7 +70,7 @@ class SkinFlow:
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
     def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
-        """Return the motion of the skin from the first picture to the next one.
+        """Return the motion of the skin between the first picture and the next picture of the series, `image`.
 
         Args:
             image: (1, 1, H, W).

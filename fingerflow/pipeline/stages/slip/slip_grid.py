@@ -68,16 +68,16 @@ class SlipGrid:
         return result
 
     def fine_mask(self, cells: Mask) -> Mask:
-        """Return the mask on the fine grid that covers the given cells."""
+        """Convert a mask of cells to a mask on the fine grid."""
         return np.asarray(cells.repeat(_FINE, 0).repeat(_FINE, 1))
 
     def cells(self, fine: Mask) -> Mask:
-        """Return a mask of the cells of which a fine mask covers half or more."""
+        """Convert a mask on the fine grid to a mask of the cells of which it covers half or more."""
         rows, columns = self.known.shape
         return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
 
     def share(self, fine: Mask, region: Mask) -> float:
-        """Return the ratio of the area of a fine mask to the area of a region of cells."""
+        """Return the area of a mask on the fine grid, divided by the area of a region of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
     def covered(self, places: Array, region: Mask) -> Mask:

@@ -218,7 +218,7 @@ class SlipStage(Stage):
         return math.nan if self._border is None else self._border.level
 
     def _find_stuck(self, first: int, end: int, grid: SlipGrid, criterion: "StuckBorder | Length") -> None:
-        """Find the stick region, and the direction and speed of the slipping skin, in frames `first` to `end` - 1."""
+        """Find the stick region, and direction and speed of the slipping skin, in frames `first` to `end` - 1."""
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
@@ -354,7 +354,7 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can represent: None for NaN."""
+    """Convert a value for JSON, with None for NaN."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

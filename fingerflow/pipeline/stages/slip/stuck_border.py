@@ -150,7 +150,8 @@ class StuckBorder:
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
-        """Return the displacement, mm, whose contour is drawn, and the distance, mm, of this contour beyond the border.
+        """Return the displacement level, mm, whose contour is drawn, and the distance, mm, of that contour from the
+        border.
 
         This is the level at the border itself, or a higher one where noise requires it, as far as it is reached in a
         slipping annulus of this width.

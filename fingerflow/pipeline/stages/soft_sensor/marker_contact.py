@@ -120,7 +120,8 @@ class MarkerContactStage(ContactStage):
         return max(threshold, _LEAST_CHANGE)
 
     def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """Return the change of light (n, 1, h, w) per cell since rest, with markers masked at both positions.
+        """Return the change of light (n, 1, h, w) in cells since rest, without pixels that markers cover now or at
+        rest.
 
         It is 0 in cells that show nothing but markers.
         """

@@ -1,4 +1,4 @@
-"""Markers of a soft sensor as tracked points."""
+"""Conversion of the markers of a soft sensor to tracked points."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -61,7 +61,7 @@ def _spacing(frames: list[Points]) -> float:
 
 
 def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
-    """Return whether two frames show one gel state: most markers at equal positions, marker counts within 5 %."""
+    """Return whether two frames show the same gel state: most markers at equal positions, numbers within 5 %."""
     if tree is None or not len(points) or abs(len(points) - tree.n) > (1 - _MOST_OFF) * max(len(points), tree.n):
         return False
     return bool(np.mean(tree.query(points)[0] < _STILL * spacing) >= _MOST_OFF)

@@ -23,7 +23,7 @@ _SAME = 0.4  # spacings within which inferred rest positions belong to one marke
 
 
 class Seen(NamedTuple):
-    """Markers (M, ...) detected in one frame: positions px, covariances px^2, position differences of two scales px."""
+    """Markers (M, ...) detected in one frame: positions px, covariances px^2, and disagreement of two scales px."""
 
     points: Tensor
     covariance: Tensor
@@ -74,7 +74,7 @@ class MarkerStage(Stage):
         self._limit = self.inputs.scene.tracking.forward_backward_limit_px
 
     def begin(self) -> None:
-        """Measure the appearance of markers. Raises FingerflowError where no frame shows any."""
+        """Measure how the markers look. Raises FingerflowError where no frame shows any."""
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         views = [self.inputs.view(self.inputs.recording[[int(k)]].read(), self._view) for k in looks]

@@ -88,7 +88,7 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacement (n, P, 2) mm and covariance (n, P, 2, 2) mm^2 of P points and corners in n frames."""
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of P points and corners in n frames."""
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):

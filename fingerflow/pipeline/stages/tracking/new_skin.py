@@ -149,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return a mask (K,) of positions (K, 2) px of the contact view whose skin was outside the seeding region."""
+        """Return a mask (K,) of positions (K, 2) px of the contact view whose skin was not in the seeding region."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape

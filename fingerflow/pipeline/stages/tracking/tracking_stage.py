@@ -278,7 +278,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Extend points seeded in the last of several frames, (1, N), to all of these frames; they are NaN before."""
+    """Extend results (1, N) of points seeded in the last frame of a batch to all frames of it, with NaN before."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
