@@ -11,7 +11,7 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Parameters of one element in a chain of 501; tensors of one shape give one chain per entry."""
+    """Mechanical parameters of the skin, for an element in a chain of 501; tensors of one shape give many chains."""
 
     radius: Number  # m, of the half-circle
     membrane_stiffness: Number  # N/m, k_m of the link between two neighbours

@@ -27,7 +27,7 @@ class _Curve(NamedTuple):
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the gross and real contact area.
+    """Draw the apparent (gross) and the real contact area.
 
     Args:
         result: returned by `fingerflow.process`, or a result that was opened.
@@ -78,7 +78,7 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement of the points.
+    """Draw the length of the median displacement over all points.
 
     For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
     `contact_area`.
@@ -105,12 +105,12 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the tangential over the normal force, by default against time; arguments as for `contact_area`."""
+    """Draw the ratio of tangential to normal force, by default against time; arguments as for `contact_area`."""
     return _alone(result, axes, against, "load_ratio", "Friction ratio")
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of a soft sensor's markers in contact that have slipped, with gross slip marked.
+    """Draw the share of a soft sensor's markers in contact that have slipped, and mark gross slip.
 
     By default against time; arguments as for `contact_area`.
     """
@@ -124,7 +124,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
+    """Draw the share of tracked points, by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
     name, curve = followed(result), _curve(result, "tracked_share", "tracked")
     label = VARIABLES["tracked_share"].with_unit(name)
@@ -134,7 +134,7 @@ def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the median forward-backward distance, by default against time; arguments as for `contact_area`.
+    """Draw the median forward-backward error, by default against time; arguments as for `contact_area`.
 
     The frame in which points are seeded is compared with itself and left out.
     """
@@ -146,7 +146,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the standard deviation of a position: median and 0.9 quantile over the points.
+    """Draw the standard deviation of tracked positions: its median and 0.9 quantile over the points.
 
     By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.

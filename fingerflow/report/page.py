@@ -113,7 +113,7 @@ def write_report(
     video: bool = True,
     overwrite: bool = False,
 ) -> Path:
-    """Write report.html and overlay.mp4 into a folder and return the path of the page.
+    """Write the report of a result, report.html and overlay.mp4, into a folder and return the path of the page.
 
     Sections without variables in the result are left out.
 

@@ -88,7 +88,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high values."""
+    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high metric values."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -111,7 +111,8 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude: trials, median, mean ± SD, ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
+    ANOVA.
 
     Args:
         axes: axes to draw into.

@@ -17,7 +17,7 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings [recording]: the frames and the range of them that is used, numbered from 0 as in the file."""
+    """Settings [recording]: file of frames, frame rate, trigger frame, and range of frames used, numbered from 0."""
 
     frames: Path
     frame_rate: float | None

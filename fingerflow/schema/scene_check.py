@@ -277,7 +277,7 @@ class _Check:
             around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Check that a scene with two views has a transform, and a calibration that was made with these views."""
+        """Check that a scene with two views has a transform between them, and a calibration made with its views."""
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return

@@ -405,7 +405,7 @@ class OneEach:
 
 @dataclass(frozen=True)
 class InPlaceOf:
-    """Rule: a calibration file replaces the scale and, if present in it, the transform; else the scale is needed."""
+    """Rule: a calibration file provides scale and transform, which are then not given; without it a scale is needed."""
 
     key: str
     needed: str

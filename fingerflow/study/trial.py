@@ -73,7 +73,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Return one trial of a batch of ``together`` trials as a generator of steps, which are computed in turns."""
+    """Process one trial as a generator of steps, which run in turns with others of a batch of ``together`` trials."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(

@@ -228,7 +228,7 @@ class Session:
             return self.progress("process")
 
     def report(self, asked: Mapping[str, Any]) -> Facts:
-        """Start `fingerflow report` of the result: `report.html` and `overlay.mp4` in the scene's folder."""
+        """Start `fingerflow report` of the result; it writes `report.html` and `overlay.mp4` in the scene's folder."""
         del asked
         with self._lock:
             self._refuse_two()

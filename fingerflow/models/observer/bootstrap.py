@@ -30,7 +30,7 @@ FEWEST_CLUSTERS = 3
 
 @dataclass(frozen=True)
 class Samples:
-    """Units that the bootstrap resamples, for each trial: a participant, shared by all samples, or the trial itself."""
+    """Resampling units of the bootstrap: each trial belongs to a participant (shared by samples), or is its own."""
 
     units: tuple[NDArray[np.intp], ...]
     participants: int  # 0 where each trial is its own unit

@@ -67,7 +67,7 @@ def seen_displacement(distance: Values, half_window: float) -> Values:
 
 
 def border_level(width: Values, growth: float, seen: Seen) -> Values:
-    """Return the displacement, mm (K,), measured at a stick border beside a slipping annulus `width` (K,) mm wide."""
+    """Return the displacement, mm (K,), that is measured at a stick border if the slipping annulus is (K,) mm wide."""
     return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 

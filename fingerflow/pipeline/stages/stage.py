@@ -117,7 +117,7 @@ class Stage:
         return False
 
     def begin(self) -> None:
-        """Prepare before the first frame. Raises FingerflowError for errors that the user can correct."""
+        """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
         """Compute the results of a batch of frames; later stages of the pass get the returned value by `Batch.of`.

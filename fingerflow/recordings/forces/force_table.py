@@ -26,7 +26,7 @@ class ForceTable:
     warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64], unit: object = None) -> None:
-        """Add one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]; `unit` if the file states it."""
+        """Add a column, or a matrix (n, k) as columns name[0] to name[k - 1]; `unit` is None if the file has none."""
         values = np.squeeze(np.asarray(values, np.float64))
         added = {name: values} if values.ndim == 1 else {}
         if values.ndim == 2:

@@ -51,7 +51,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
-    """Return one frame; raise FingerflowError for an image of another size or type than the first one."""
+    """Return one frame of a folder of images; raise FingerflowError if size or type differ from the first image's."""
     file = files[index]
     assert file is not None, "a missing file is an unreadable frame"
     image = _read_image(file)

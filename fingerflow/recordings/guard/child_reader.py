@@ -23,7 +23,7 @@ MOST_ATTRIBUTE_BYTES = 1 << 26
 
 
 def main() -> None:
-    """Answer requests from the standard input, one file a line, until the input ends."""
+    """Traverse files named on the standard input, one a line, and print an answer for each, until the input ends."""
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)

@@ -155,7 +155,7 @@ class DisplacementStage(Stage):
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """Return the covariance (n, N, 2, 2) mm^2 of a displacement; variances are NaN where the latter is NaN."""
+        """Return the covariance (n, N, 2, 2) mm^2 of displacements of N points in n frames; NaN if these are NaN."""
         result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
         for component in range(2):
             result[..., component, component] += moved.variance

@@ -51,7 +51,7 @@ class MedianBias:
     def look(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """Add n frames with fields `found` and displacements; `entered` (n, N) marks points advected into contact."""
+        """Process n frames with fields `found` and displacements; `entered` (n, N) marks advected points."""
         assert found.median is not None
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()

@@ -136,7 +136,7 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Store distances between displacements of points (N, 2) mm and the flow (N, 3) px, in mm and deviations."""
+        """Store how far the displacement of points (N, 2) mm differs from the flow (N, 3) px: mm and deviations."""
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():

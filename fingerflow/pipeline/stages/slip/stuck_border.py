@@ -96,7 +96,7 @@ class StuckBorder:
 
     @property
     def followed(self) -> float:
-        """Return the displacement, mm, whose contour is drawn as border if the slipping annulus is wide."""
+        """Return the displacement level, mm, whose contour bounds the stick region if the slipping annulus is wide."""
         return float(np.fmax(self.level, self._above * self.noise))
 
     def settle(self) -> None:

@@ -74,7 +74,7 @@ class MarkerStage(Stage):
         self._limit = self.inputs.scene.tracking.forward_backward_limit_px
 
     def begin(self) -> None:
-        """Measure how the markers look. Raises FingerflowError where no frame shows any."""
+        """Measure the markers' appearance. Raises FingerflowError where no frame shows any."""
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         views = [self.inputs.view(self.inputs.recording[[int(k)]].read(), self._view) for k in looks]

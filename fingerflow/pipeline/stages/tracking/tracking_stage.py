@@ -196,7 +196,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w) and return them, or None; `found` holds earlier points."""
+        """Seed points in new skin of an image (1, 1, h, w); return them or None. `found` (1, N) has earlier points."""
         if self._full:
             return None
         assert self._new_skin is not None
