@@ -281,6 +281,7 @@ class _Check:
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
+        # Without another view to map, the scale is enough: it holds for any part of the frame.
         if from_view == into_view and rule.transform not in self.given:
             return
         name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))

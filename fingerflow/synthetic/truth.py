@@ -123,7 +123,7 @@ class Truth:
         return 0.0 if ellipse is None else ellipse.area
 
     def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Return the real contact area (mm²) in a frame, by quadrature with samples_per_px² cells per pixel."""
+        """Return the real contact area (mm²), by quadrature with samples_per_px² partly filled cells per pixel."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0

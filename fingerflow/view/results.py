@@ -28,7 +28,7 @@ class Results:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file; raise FingerflowError if it is not a result."""
+        """Open a result file; raise FingerflowError if the file is not a result."""
         self.path = path.resolve()
         self.data = open_result(self.path)
         # Reading one frame takes 2 ms by xarray and h5netcdf, which look the variable up each time; directly 0.2 ms.

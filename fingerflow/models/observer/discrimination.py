@@ -169,7 +169,7 @@ def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Valu
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return the quantile in each of R resamples (R,), in which values occur `weights` times; linear."""
+    """Return the quantile of R resamples (R,) that hold each value `weights` times; NumPy's linear one for 1."""
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

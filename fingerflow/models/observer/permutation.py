@@ -15,7 +15,7 @@ _AT_ONCE = 4_000_000  # labels in memory
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """Result of `permutation_test`: two-sided `p` of `auc`, and numbers of (correct, incorrect) and NaN trials."""
+    """Result of `permutation_test`: two-sided `p` of `auc`; `trials` correct and incorrect, `missing` with NaN."""
 
     p: float
     auc: float

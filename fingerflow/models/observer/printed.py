@@ -16,7 +16,7 @@ _STEP = 0.001  # of the criterion
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Gaussian fitted to a histogram of a normalised metric, `amplitude` in trials per bin; NaN if none fits."""
+    """Gaussian fitted to a histogram: `amplitude` in trials per bin, `mean`, `deviation`; NaN where none fits."""
 
     amplitude: float
     mean: float

@@ -235,7 +235,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return the threshold on one side of the best at which the profile reaches ``allowed``; infinite if too far."""
+    """Return the threshold on one side of the best where the profile crosses ``allowed``; infinite past `_FURTHEST`."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

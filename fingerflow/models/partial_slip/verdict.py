@@ -30,7 +30,7 @@ _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Classification of a trial with the numbers behind it; NaN or -1 where a number could not be computed.
+    """Classification of a trial by `judge_trial`, with the numbers behind it; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".

@@ -85,6 +85,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Return for each frame whether a chunk of its pixels is missing from the file, as a mask (N,)."""
+    # `stored_whole` has checked that the stated number of frames fits the file.
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

@@ -155,7 +155,7 @@ class Recording(ABC):
         return self.read() if frames is None else frames
 
     def batches(self, size: int) -> Iterator[Frames]:
-        """Yield the frames as arrays of `size` frames, the last one possibly shorter, with one in memory at a time."""
+        """Yield the frames as arrays (n, H, W), n = `size` or less for the last one; one is in memory at a time."""
         if size < 1:
             raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
         for start in range(0, len(self), size):

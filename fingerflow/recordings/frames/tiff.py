@@ -160,7 +160,7 @@ def _describe(
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Return why the pixels of a page cannot be read completely, judged by its header; "" if they can."""
+    """Return why the `frame_bytes` bytes of pixels of a page cannot be read, judged by its header; "" if they can."""
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))

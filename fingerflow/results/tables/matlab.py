@@ -17,7 +17,7 @@ _ABOUT = (
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:
-    """Write all variables of a result to a .mat file, with units, definitions, settings, warnings and `about`."""
+    """Write a result to a .mat file: all variables, `units`, `definitions`, `settings`, `warnings` and `about`."""
     content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
     content["time"], content["frame"] = result["time"].values, result["frame"].values
     if "triangles" in content:

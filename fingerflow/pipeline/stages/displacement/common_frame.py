@@ -31,7 +31,8 @@ class CommonFrame(NamedTuple):
 
 
 def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Compute the positions that all points had, or would have had, at the first seeding of points.
+    """Compute positions at the first seeding for all points, from `position` (frames, N, 2) mm and `status` (frames,
+    N).
 
     They were first seeded in frame `first` and tracked from there, forward or `backward`.
 

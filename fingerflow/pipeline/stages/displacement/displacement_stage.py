@@ -311,7 +311,7 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Return `values` (frames, N, ...) of P `points`, all by default, each in the frame given for it (..., P)."""
+    """Return `values` (frames, N, ...) of P `points`, all by default, each in its frame of `frames`: (..., P, ...)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

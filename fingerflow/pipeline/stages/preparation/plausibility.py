@@ -29,7 +29,8 @@ def of_frames(frames: int) -> list[str]:
 
 
 def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
-    """Return warnings for contact areas (frames,) mm^2: real area larger than gross area, or jumps of the gross area.
+    """Return warnings for contact areas (frames,) mm^2, NaN if unusable: real area above gross area, or jumps of the
+    latter.
 
     `view_area` is the area of the view, mm^2.
     """

@@ -25,7 +25,7 @@ _BESIDE_PX = 12  # margin of skin around the cells known by points, for the flow
 
 
 class DenseFlowSlipStage(SlipStage):
-    """Stage that finds the stick region from dense flow instead of points ([slip] displacement = "dense_flow").
+    """Stage like `SlipStage`, with displacement from dense flow instead of points ([slip] displacement = "dense_flow").
 
     In each frame the displacement of the points is compared with the flow at their positions in the first frame: median
     and 95th percentile of the difference. A warning is given where the median exceeds four times what their standard

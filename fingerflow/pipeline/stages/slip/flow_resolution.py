@@ -20,8 +20,8 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Response of dense flow to a slip border: the displacement it measures where the true one is x^p at x mm beyond
-    the border.
+    """Displacement that dense flow measures at a slip border, beyond which the true one is x^p at x mm: a
+    `models.partial_slip.stick_border.Seen`.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
