@@ -1,4 +1,4 @@
-"""Detection of dark discs in a view, and of the hole of the scale ring, at any position and under uneven light."""
+"""Detection of dark discs in a view, and of the scale ring's hole, at any position and under uneven light."""
 
 import cv2
 import numpy as np

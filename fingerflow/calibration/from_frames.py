@@ -28,7 +28,7 @@ def calibrate(
     hole_radius_mm: float = 2.75,
     background: ArrayLike | None = None,
 ) -> Calibration:
-    """Compute the calibration of a rig from a frame (H, W) of the registration target and one of the scale ring.
+    """Compute the calibration from a frame (H, W) of the registration target and one of the scale ring.
 
     `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
     no target (None) and needs the ring alone. `background` is a frame without either. Raises FingerflowError if a view,

@@ -145,7 +145,7 @@ def _visible(image: Array) -> NDArray[np.uint8]:
 
 
 def _even(image: Array) -> NDArray[np.uint8]:
-    """Return an 8-bit image of uniform mean and contrast, so that views under different lamps can be compared."""
+    """Return 8 bits with uniform mean and contrast, so that two views under different lamps can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     # Applied twice, to remove the remaining slope of the light.
     level = smooth - _blurred_over_light(smooth)

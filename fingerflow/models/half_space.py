@@ -87,7 +87,7 @@ def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Compute the kernel integrals over load strips, given the distances r along y to both ends of each strip."""
+    """Compute kernel integrals over load strips from r at both ends of each strip, ``first`` being the greater one."""
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
     between = first + second

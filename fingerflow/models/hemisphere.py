@@ -39,13 +39,13 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the arc length L = R arccos((R - delta) / R), in the unit of both; the rest as in `radial_strain`."""
+    """Return the arc length L = R arccos((R - delta) / R), unit of both; arguments and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the contact radius a = sqrt(R^2 - (R - delta)^2), in the unit of both; the rest as in `radial_strain`."""
+    """Return the contact radius sqrt(R^2 - (R - delta)^2), unit of both; arguments and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return radius * (ratio * (2 - ratio)).sqrt()
 

@@ -40,7 +40,7 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the bone in one time interval, along x and z: force in N, or displacement in m in a held direction."""
+    """Load on the bone over one interval, along x and z: forces in N, or displacements in m in a held direction."""
 
     first: Array  # (2,)
     last: Array  # (2,)

@@ -1,4 +1,4 @@
-"""Linear system of an implicit time step: an arrow matrix, solved by one banded solve and a 2 x 2 Schur complement.
+"""Linear system of an implicit step: an arrow matrix, solved by one banded solve and a 2 x 2 Schur complement.
 
 Each element couples to its neighbours in 2 x 2 blocks and to the bone, whose two rows and columns are dense. Dahl's
 force is a function of the slide and no unknown: a third row for it would only be eliminated again.
@@ -16,7 +16,7 @@ class Arrow:
     """Matrix damping I + c K of elements and bone in an implicit step, with K the negative derivative of the forces."""
 
     def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
-        """Assemble the matrix; ``held`` (2,) bool marks directions in which the motion of the bone is prescribed."""
+        """Assemble the matrix; ``held`` (2,) bool marks directions in which the bone's motion is prescribed."""
         count = len(chain.reference)
         tissue = c * tissue_slopes(chain, nodes)
         link = c * chain.membrane

@@ -1,4 +1,4 @@
-"""Dictionary of outputs: every result variable with its unit, definition, equation and stage."""
+"""Dictionary of outputs: every variable with its unit, definition, equation and stage."""
 
 from typing import NamedTuple
 

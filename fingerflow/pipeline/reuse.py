@@ -1,4 +1,4 @@
-"""Reuse of an earlier result: decide stage by stage whether its results are still valid for the current settings.
+"""Reuse of an earlier result: check stage by stage which results are still valid for the current settings.
 
 The key of a stage is a digest of its settings, the keys of the stages before it, the code, the engine and the device,
 and of the frames where it or a stage before it reads pictures. The engine counts because results of two engines agree

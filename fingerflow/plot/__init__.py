@@ -1,4 +1,4 @@
-"""Figures of a result: functions that draw into matplotlib axes and return these, for papers and for the report.
+"""Figures of a result: functions that draw into matplotlib axes and return them, for papers and for the report.
 
 Example:
     ::

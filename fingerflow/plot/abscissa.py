@@ -52,7 +52,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
 
 
 def varies(result: xr.Dataset, force: str) -> bool:
-    """Return whether a force varies: by more than a tenth of its largest value, and more than ten times its noise."""
+    """Return whether a force is known and changes by more than a tenth of its largest value and ten times its noise."""
     if force not in result:
         return False
     known = _smoothed(result, force)
@@ -63,7 +63,7 @@ def varies(result: xr.Dataset, force: str) -> bool:
 
 
 def is_monotonic(result: xr.Dataset, force: str = "normal_force") -> bool:
-    """Return whether a force only rises or only falls, apart from 3 % of its range or three times its noise."""
+    """Return whether a varying force only rises or only falls, apart from 3 % of its range or three times its noise."""
     known = _smoothed(result, force)
     least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, force))
     falls = float((np.maximum.accumulate(known) - known).max())

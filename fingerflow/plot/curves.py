@@ -27,7 +27,7 @@ class _Curve(NamedTuple):
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the apparent (gross) and the real contact area.
+    """Draw the gross and real contact area.
 
     Args:
         result: returned by `fingerflow.process`, or a result that was opened.
@@ -78,7 +78,7 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement over all points.
+    """Draw the length of the median displacement of the points.
 
     For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
     `contact_area`.
@@ -110,7 +110,7 @@ def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of a soft sensor's markers in contact that have slipped, and mark gross slip.
+    """Draw the share of a soft sensor's markers in contact that have slipped, with gross slip marked.
 
     By default against time; arguments as for `contact_area`.
     """
@@ -124,7 +124,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of tracked points, by default against time; arguments as for `contact_area`."""
+    """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
     name, curve = followed(result), _curve(result, "tracked_share", "tracked")
     label = VARIABLES["tracked_share"].with_unit(name)

@@ -1,4 +1,4 @@
-"""Maps of one frame: a quantity of the skin, or of the gel, by position on the glass."""
+"""Maps of one frame: a quantity of the skin, or of the gel, at each position on the glass."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -178,7 +178,7 @@ def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> fl
 
 
 def drawable(result: xr.Dataset) -> list[str]:
-    """Return the names of those `QUANTITIES` whose variables the result has."""
+    """Return the names in `QUANTITIES` whose variables a result has."""
     return [name for name, one in QUANTITIES.items() if _has(result, one)]
 
 

@@ -7,7 +7,7 @@ from fingerflow.recordings.frames.recording import Recording
 
 
 def identity_of(recording: Recording) -> str:
-    """Return number, size and type of the frames with a digest of the first frame, whose camera noise is unique.
+    """Return number, size and type of the frames and a digest of the first frame, whose camera noise is unique.
 
     No other frame is read, because in a video that may take as long as reading all of them.
     """

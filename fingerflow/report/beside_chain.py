@@ -116,7 +116,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
 
 
 def inner_divergence(result: xr.Dataset) -> Values:
-    """Return the mean divergence (frames,), um/mm, of points within 0.6 of the contact's radius; NaN without points."""
+    """Return the mean divergence (frames,) of points within 0.6 of the contact's radius, um/mm; NaN without points."""
     found = np.full(result.sizes["frame"], np.nan)
     if "divergence" not in result or "position" not in result:
         return found

@@ -40,7 +40,7 @@ def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST
 
 
 def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Draw figure S4 C: compression (%) of sticking skin against the indentation (mm), with 3 mm marked."""
+    """Draw figure S4 C: compression of sticking skin (%) against the indentation (mm), with 3 mm marked."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
     at_three = 100 * float(radial_strain(3.0, radius))

@@ -28,7 +28,7 @@ _UNIT = re.compile(r"\(([^()]*)\)$")
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """Return a figure as an <svg> element that fills the width of its container; text remains text.
+    """Return a figure as an <svg> element that fills the width of its container; text stays text.
 
     Args:
         figure: figure to draw.

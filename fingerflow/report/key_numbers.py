@@ -83,7 +83,7 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def with_uncertainty(value: float, spread: float) -> str:
-    """Return "value ± spread", rounded to two digits of the spread, or the value to three digits without a spread.
+    """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
 
     >>> with_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'

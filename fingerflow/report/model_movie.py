@@ -38,7 +38,7 @@ def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArra
 
 
 def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
-    """Yield one RGB image (H, W, 3) for each time: skin coloured by displacement along the plate, above its loads."""
+    """Yield RGB pictures (H, W, 3), one a time: skin coloured by displacement along the plate, above its loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))

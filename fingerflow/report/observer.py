@@ -53,7 +53,7 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
-    """Draw the table of figure S11 C: each metric's estimate with interval and number of trials."""
+    """Draw the table of figure S11 C: the estimate of each metric with its interval and number of trials."""
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)

@@ -252,7 +252,7 @@ def _sections(
 
 
 def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
-    """Return the section of maps at the key frames, with one colour scale per quantity; None without maps."""
+    """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
     if not there or not places:

@@ -60,7 +60,7 @@ class SimulatedPresses:
         return Profile(radius, radial, hoop)
 
     def energy(self) -> Values:
-        """Return the strain energy (T, K) in mJ of the contact disc, 2 mm deep (equation 3); 0 without contact."""
+        """Return the strain energy (T, K) in mJ over the contact disc, 2 mm deep (equation 3); 0 without contact."""
         found = self.profile()
         rings = np.nan_to_num(_density(found.radial, found.hoop)) * 2 * np.pi * found.radius
         return np.asarray(DEPTH_MM * np.trapezoid(rings, found.radius, axis=-1))
@@ -193,7 +193,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
-    """Return map extent (mm) and strains (H, W, 3) at full load of the chain turned about its axis; NaN off contact."""
+    """Return extent (mm) and strains (H, W, 3) of the chain rotated about its axis at full load; NaN off contact."""
     k, found = presses.index(friction), presses.profile()
     radius = found.radius[-1, k]
     reach = float(radius[-1])

@@ -224,7 +224,7 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
 
 
 def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which always lies within 0 and 1."""
+    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1."""
     n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))

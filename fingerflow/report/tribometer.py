@@ -1,4 +1,4 @@
-"""Sliding friction from a tribometer trace: reader of the file, and figures S1 A and B of Willemet et al. 2021."""
+"""Sliding friction from a tribometer trace: reading of the file, and figures S1 A and B of Willemet et al. 2021."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _MOST_POINTS = 20_000  # of a line, more than any figure resolves
 
 @dataclass(frozen=True)
 class TribometerTrace:
-    """Trace of T samples of a finger that slides to and fro on a plate with modulated vibration; float64, SI units."""
+    """Trace of T samples of a finger sliding to and fro on a plate with modulated vibration; float64, SI units."""
 
     path: Path
     time: Tensor  # (T,) s

@@ -20,7 +20,7 @@ CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), 
 
 
 class ViewPainter:
-    """Painter that draws contact, points and displacement over the views of a frame; colours are RGB."""
+    """Painter of contact, points and displacement over the views of a frame; colours are RGB."""
 
     def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
         """Check that the result was computed from this recording; raise FingerflowError otherwise."""

@@ -62,7 +62,7 @@ def is_marked(path: Path) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Call ``write`` with a temporary path beside `path`, then rename it: a crash leaves no half-written file.
+    """Call ``write`` with a temporary path in the same folder, then rename it: a crash leaves no half-written file.
 
     Raises FingerflowError where the system does not allow writing.
     """

@@ -1,4 +1,4 @@
-"""Check that results fit in memory or on disk before they are written, as HDF5 ends the process when a disk is full."""
+"""Check that results fit in memory or on disk before they are written: HDF5 ends the process when a disk is full."""
 
 import shutil
 from collections.abc import Iterable

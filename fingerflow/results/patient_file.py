@@ -81,7 +81,7 @@ class PatientFile:
             return self._recover()
 
     def sync(self) -> None:
-        """Wait until all data written to the file are on the disk."""
+        """Wait until all written data are on the disk."""
         os.fsync(self._file)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Results folder of a stream: its format, reader and writer."""
+"""Results folder of a stream: format, reading and writing."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Sink:
         self._records = PatientFile(self.folder / "records.bin")
 
     def write(self, record: Array, frame: int) -> None:
-        """Append the record of a frame; all records are flushed to the disk once a second."""
+        """Append the record of a frame; once a second all records are flushed to the disk."""
         assert self._records is not None
         self._frame = frame
         self._records.write(record.data)

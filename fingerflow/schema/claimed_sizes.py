@@ -1,4 +1,4 @@
-"""Sizes stated in the headers of image and array files, read before a library allocates memory for them."""
+"""Reading of the sizes that image and array files claim in headers, before a library allocates memory for them."""
 
 import struct
 

@@ -264,7 +264,7 @@ class _Check:
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
-        """Record a problem unless a table has exactly one of its keys; set a table that is left out to None."""
+        """Record a problem unless exactly one key of the table is given; set a table that is left out to None."""
         place, _, name = rule.key.rpartition(".")
         table, around = self._at(rule.key), self._at(place)
         if not table or place not in self.given:  # a role shares the region of its view

@@ -1,4 +1,4 @@
-"""Execution of a study's tasks on Dask, with few tasks in flight, robust against loss of workers or scheduler."""
+"""Execution of a study's tasks on Dask: few in flight, robust against the loss of workers or scheduler."""
 
 import logging
 import os
@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 
 class Interrupted(Exception):
-    """Error after Ctrl-C or the loss of the scheduler; its message says which, and what to do."""
+    """Raised after Ctrl-C or the loss of the scheduler; the message says which, and what to do."""
 
 
 def cores() -> int:

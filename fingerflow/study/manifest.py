@@ -70,7 +70,7 @@ class Manifest:
 
 
 def load_manifest(path: str | Path) -> Manifest:
-    """Read `study.toml` and the table of trials that it names, a CSV file or a pattern of file names.
+    """Read `study.toml` and its table of trials, a CSV file or a pattern over file names.
 
     ::
 

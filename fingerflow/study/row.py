@@ -100,7 +100,7 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """Return the frame of the largest force during contact or, without forces, of the largest apparent area."""
+        """Return the frame of the largest force during contact; without forces, of the largest apparent area."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -179,7 +179,7 @@ class _Trial:
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """Return the largest value of a series between onset and the last frame with contact."""
+        """Return the largest value from onset to the last frame with contact."""
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]

@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a study run: numbers of planned and skipped trials, their outcomes, and reason of an interruption."""
+    """Outcome of a run: numbers of planned and skipped trials, their outcomes, and the reason for an interruption."""
 
     planned: int
     skipped: int
@@ -50,7 +50,7 @@ class Summary:
 
 
 def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = False) -> list[Planned]:
-    """Return the trials that lack a result for their present inputs, settings and code, in the order of the manifest.
+    """Return the trials without a result for their current inputs, settings and code, in the order of the manifest.
 
     Args:
         manifest: the study.

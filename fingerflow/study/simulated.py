@@ -1,4 +1,4 @@
-"""Simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
+"""A simulated study with known truth: skin of two stiffnesses, friction by condition, observer of known sensitivity.
 
 Divergence is that of the skin chain (Willemet et al. 2021) at the friction of a condition and the softness of a
 participant, times a factor per participant, plus variation from trial to trial. The observer perceives it with
@@ -69,7 +69,7 @@ class Design:
 
     @cached_property
     def divergences(self) -> Values:
-        """Return the divergence (2, C) of firmer and softer skin in each of C conditions, at 3 N."""
+        """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
         friction = torch.from_numpy(self.frictions)
         found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in (1, self.softness)]
         result: Values = torch.stack(found).numpy()

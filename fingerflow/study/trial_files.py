@@ -1,4 +1,4 @@
-"""Files of a trial in a study: a folder with the result and `row.json`, written atomically."""
+"""Files of a trial in a study: a folder with its result and `row.json`, written atomically."""
 
 import json
 from collections.abc import Mapping

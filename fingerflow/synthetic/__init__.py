@@ -1,4 +1,4 @@
-"""Synthetic recordings of a finger on glass with exactly known motion, contact and forces, for demo, tests, bench."""
+"""Synthetic scenes of a finger on glass with exactly known motion, contact and forces: for demo, tests and bench."""
 
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress

@@ -1,4 +1,4 @@
-"""Model of a camera: grey levels with shot noise, read noise, defective pixels and quantisation."""
+"""Camera model: grey levels with shot noise, read noise, defective pixels and quantisation."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,7 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera for monochrome images with noise. All levels are stated for 8 bit and scale with the range of a deeper
-    camera.
+    """A monochrome camera. All levels are stated for 8 bit and scale with the range of a deeper camera.
 
     Args:
         bit_depth: 8 to 16; frames are uint8 for 8 bit and uint16 above.

@@ -26,7 +26,7 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """Press whose skin moves as a skin chain turned about its axis, under a force that rises as sin² and is then held.
+    """A press whose skin moves as a skin chain of revolution, under a force that rises as sin² and is then held.
 
     Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
     persists. Settings that all scenes share are those of `SyntheticScene`.
@@ -150,8 +150,7 @@ class RadialMotion:
 
 
 def _evened(values: Array) -> Array:
-    """Smooth values (T, ...) of the chain by a least-squares spline, and return the spline at K + 1 evenly spaced
-    times.
+    """Smooth the chain's values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
 
     The values at first contact are kept.
     """
@@ -162,12 +161,12 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients for values on a grid, with mirrored ends and padded by one on each side."""
+    """Return cubic spline coefficients for values on a grid, mirrored at its ends and padded by one on each side."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients, and their weights, at a share of the grid's length."""
+    """Return the index of the first of four spline coefficients and their weights, at a share of the grid's length."""
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]

@@ -24,7 +24,7 @@ class Comparison(NamedTuple):
 
 
 def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
-    """Compare every quantity of a processed synthetic recording with its ground truth.
+    """Compare every quantity of a completely processed synthetic recording with the truth.
 
     Early contact is smaller than the structures it is made of: errors of areas are given from 10 mm² on.
     """

@@ -1,4 +1,4 @@
-"""Fingertip skin as a formula: loop, whorl or arch, with minutiae, pores, and ridges that break up at the border."""
+"""A fingertip's skin as a formula: loop, whorl or arch, with minutiae, pores, and ridges that break at the border."""
 
 import math
 from collections.abc import Callable

@@ -72,7 +72,7 @@ class MarkerGel:
 
     @cached_property
     def markers(self) -> Array:
-        """Return rest positions (N, 2) px of all markers, including those outside the frame that may move into it."""
+        """Return marker positions (N, 2) px at rest, including those outside the frame that may move into it."""
         height, width = self.frame_shape
         columns, rows = (np.arange(-2, int(size / self.spacing) + 3) for size in (width, height))
         lattice = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) * self.spacing + self.spacing / 3

@@ -1,4 +1,4 @@
-"""Motion and contact of the skin in closed form: which material coordinates lie at every position on the glass.
+"""Motion and contact of the skin in closed form: the material coordinates at every position on the glass.
 
 Only the inverse map is defined, material = phi(position, progress), so that an image is an evaluation at its
 pixels; forward positions and all derivatives follow from it in `fingerflow.synthetic.truth`. Time enters only as

@@ -1,4 +1,4 @@
-"""Optics of skin and glass: grey levels of both views, in 8-bit levels above the camera's dark level."""
+"""Optics of skin and glass: the grey levels of both views, in 8-bit levels above the camera's dark level."""
 
 from dataclasses import dataclass
 

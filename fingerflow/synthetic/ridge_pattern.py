@@ -1,4 +1,4 @@
-"""Ridges along an orientation field as a formula: arch, loop and whorl, with ridge endings and bifurcations.
+"""Ridges along an orientation field as one formula: arch, loop and whorl, with endings and bifurcations.
 
 The orientation is the zero-pole model of Sherlock & Monro (1993): ridges run along Q(z)^(1/2) dz = real, where Q is 1
 far away, has a pole at each core and a zero at each delta. With v = Im integral Q^(1/2) dz, cos(k v) has such ridges
@@ -40,7 +40,7 @@ class Pattern(NamedTuple):
 
 
 def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the ridge height, within (-1, 1) and 1 on a crest, at positions (x, y) in mm from the core.
+    """Return the height of the ridges inside (-1, 1), 1 on a crest, at positions (x, y) in mm from the core.
 
     Args:
         pattern: the orientation field.

@@ -141,7 +141,7 @@ class SyntheticScene:
         raise NotImplementedError
 
     def progress(self, time: Array) -> Array:
-        """Return the progress of the movement, from 0 to 1, at times in s."""
+        """Return the progress of the movement, 0 to 1, at times in s."""
         raise NotImplementedError
 
     def time_of(self, progress: Array) -> Array:

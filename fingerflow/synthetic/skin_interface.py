@@ -21,8 +21,7 @@ class Skin(Protocol):
         """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the distance (mm) inside a touching ridge, positive where skin touches; exact in sign, else first
-        order.
+        """Return the distance (mm) inside a touching ridge, > 0 where skin touches; exact in sign, else first order.
 
         Args:
             x, y: material positions, mm.

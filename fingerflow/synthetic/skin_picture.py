@@ -1,4 +1,4 @@
-"""Skin from an image of a fingerprint: a spline through its pixels, defined at every position."""
+"""Skin from an image of a fingerprint: a spline through its pixels, defined at every real-valued position."""
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -48,7 +48,7 @@ class Levels(NamedTuple):
 
 @dataclass(frozen=True)
 class PictureTexture:
-    """Skin from an image of a fingerprint with dark touching ridges on bright glass, as optical sensors deliver it.
+    """Skin from an image of a fingerprint, with dark touching ridges on bright glass as optical sensors deliver it.
 
     The image is corrected for uneven light and pressure within a ridge distance, blurred by 0.7 of its pixels and
     interpolated by a cubic spline, so grey level and contact are known everywhere and twice continuously
@@ -132,7 +132,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
 
 
 def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
-    """Return material positions (64, 2) in mm under the edge of the apparent contact; (0, 2) before contact."""
+    """Return material positions (64, 2) in mm under the edge of the apparent contact; none (0, 2) before contact."""
     ellipse = scene.truth.ellipse(frame)
     return np.zeros((0, 2)) if ellipse is None else scene.truth.material(ellipse.edge(64), frame)
 
@@ -178,7 +178,7 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _fading(count: int, period: float) -> Plane:
-    """Return a window function over `count` pixels that rises from 0 at both ends to 1 within one ridge distance."""
+    """Return a window over a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
@@ -210,7 +210,7 @@ def _coefficients(plane: Plane, outside: float) -> Tensor:
 
 
 def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the values of a cubic spline at positions in px, and its derivatives by column and row (1/px).
+    """Return a cubic spline's value at positions in px and its derivatives by column and row (1/px).
 
     Beyond the spline its value at the border is used.
     """

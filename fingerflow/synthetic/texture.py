@@ -1,4 +1,4 @@
-"""Skin as a formula: ridges, pores and fine grain with a grey level at every position."""
+"""Skin as a formula: ridges, pores and fine grain whose grey level is defined at every real-valued position."""
 
 import math
 from collections.abc import Callable
@@ -63,7 +63,7 @@ class RidgeTexture:
         return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
 
     def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the phase of the ridge pattern at material positions (x, y) in rad, 2 pi from crest to crest.
+        """Return the phase of the ridges at (x, y) in rad, 2 pi from crest to crest.
 
         The gradient is therefore close to 2 pi / period.
         """
@@ -83,7 +83,7 @@ def texture_image(
     mapping: Mapping | None = None,
     dtype: torch.dtype = torch.float64,
 ) -> Tensor:
-    """Return the camera's image of a texture, evaluated at the exact material position of each pixel centre.
+    """Return the camera's image of a texture, evaluated at the exact material position of every pixel centre.
 
     Args:
         texture: contrast of a material position (x, y) in mm.

@@ -321,7 +321,7 @@ def _points(values: ArrayLike) -> Tensor:
 
 
 def _inverse(matrix: Tensor) -> Tensor:
-    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate, where LAPACK would raise an exception."""
+    """Return the inverse of 2 x 2 matrices; NaN and infinity propagate where LAPACK would raise."""
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
     return adjugate / _determinant(matrix)[..., None, None]

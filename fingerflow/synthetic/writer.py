@@ -74,7 +74,7 @@ def write_recording(folder: Path, scene: SyntheticScene) -> None:
 
 
 def rebuild_scene(folder: Path) -> SyntheticScene:
-    """Return the synthetic scene that `write_recording` wrote into a folder, with its ground truth.
+    """Return the scene that `write_recording` wrote into a folder, frame for frame, with its truth.
 
     Raises FingerflowError if truth.json is missing or does not describe a scene.
     """

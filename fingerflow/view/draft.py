@@ -26,11 +26,11 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error raised before replacing a file whose content this page has neither read nor written."""
+    """Error: a file would be replaced whose content this page has neither read nor written."""
 
 
 class Draft:
-    """Draft of a scene file; changes of values keep comments and the order of keys.
+    """Draft of a scene file; changing a value keeps comments and the order of keys.
 
     Attributes:
         path: path of the scene file, which may not exist yet.
@@ -175,7 +175,7 @@ def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
 
 
 def _is_needed(table: str) -> bool:
-    """Return whether scenes require a table; an empty one is then kept, so that its missing keys are reported."""
+    """Return whether a scene requires a table; an empty one then stays, so that its missing keys are reported."""
     return table in SCENE and "process" in SCENE[table].needed_by
 
 

@@ -22,7 +22,7 @@ class Pictures:
     """
 
     def __init__(self, recording: Recording) -> None:
-        """Set the contrast by the first and the middle frame; raise FingerflowError if no frame can be read."""
+        """Set the contrast from the first and the middle frame; raise FingerflowError if no frame can be read."""
         if not len(recording):
             raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
         self.recording = recording

@@ -104,7 +104,7 @@ class Previewer:
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
-        """Return the points that `process` would seed in the first frame, or in the last one for backward tracking.
+        """Return the points that `process` would seed in the first frame (in the last one for backward tracking).
 
         Raises:
             FingerflowError: too few points, or no topography view.

@@ -63,7 +63,7 @@ class SensorPreviewer(Previewer):
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
-        """Raise FingerflowError, as a soft sensor has markers, which are all tracked, and no seeded points."""
+        """Raise FingerflowError: a soft sensor has markers, all of which are followed, and no seeded points."""
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are chosen")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:

@@ -40,7 +40,7 @@ class Served:
     """
 
     def __init__(self, path: Path | None, port: int = 0) -> None:
-        """Open a path and bind a port (0 selects a free one); raise FingerflowError if either fails."""
+        """Open a path and bind a port (0 for a free one); raise FingerflowError if either fails."""
         self.session = Session(open_path(path))
         self.session.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -60,7 +60,7 @@ class Served:
         self._server = uvicorn.Server(config)
 
     def run(self) -> None:
-        """Serve the page until interrupted, then close the session."""
+        """Serve until interrupted, then close the session."""
         try:
             self._server.run(sockets=[self._socket])
         finally:

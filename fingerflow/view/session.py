@@ -61,7 +61,7 @@ class Session:
         return {"ready": True}
 
     def close(self) -> None:
-        """End running commands and close the open files."""
+        """End running commands and close files."""
         for run in self._runs.values():
             run.end()
         with self._lock:
@@ -127,7 +127,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return forces at the times of the frames, calibration and warnings of the draft, packed."""
+        """Return the draft's forces at the times of the frames, its calibration and warnings, packed."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -195,7 +195,7 @@ class Session:
             return self.setup()
 
     def write(self, asked: Mapping[str, Any]) -> Facts:
-        """Write the scene file; raise NeedsLeaveError if that replaced content which this page has not read."""
+        """Write the scene file; raise NeedsLeaveError if it would replace content that this page has not read."""
         with self._lock:
             name = asked.get("to")
             to = None if not name else self._drafted().path.parent / str(name)
@@ -228,7 +228,7 @@ class Session:
             return self.progress("process")
 
     def report(self, asked: Mapping[str, Any]) -> Facts:
-        """Start `fingerflow report` of the result; it writes `report.html` and `overlay.mp4` in the scene's folder."""
+        """Start `fingerflow report` of the result: `report.html` and `overlay.mp4` in the scene's folder."""
         del asked
         with self._lock:
             self._refuse_two()
@@ -242,7 +242,7 @@ class Session:
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
     def end(self, asked: Mapping[str, Any]) -> Facts:
-        """Terminate the run of `process` or of `report`, and return its progress."""
+        """End the run of `process` or of `report`, and return its progress."""
         of = str(asked.get("of"))
         if of in self._runs:
             self._runs[of].end()

@@ -1,4 +1,4 @@
-"""Ideal observer: how well a metric of a trial predicts what participants felt (Willemet et al. 2021, supplement)."""
+"""Ideal observer: how well a trial's metric predicts what participants felt (Willemet et al. 2021, supplement)."""
 
 from fingerflow.models.observer.discrimination import auc, compare_auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate

@@ -34,7 +34,7 @@ def permutation_test(
     permutations: int = 5000,
     seed: int = 0,
 ) -> PermutationTest:
-    """Test whether a metric separates correct from incorrect trials, by permuting answers within each participant.
+    """Test whether the metric separates correct from incorrect trials, permuting answers within each participant.
 
     The p-value is (1 + number of permutations whose area deviates from its expectation at least as much as the observed
     area) / (1 + permutations), never 0. Arguments as in `auc`.

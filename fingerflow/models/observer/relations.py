@@ -58,7 +58,7 @@ class MixedModel:
 
 
 def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Compute Pearson's correlation of pairs, with an interval by Fisher's transformation for independent pairs.
+    """Compute the linear correlation of pairs, with an interval by Fisher's transformation for independent pairs.
 
     The result is NaN, with the reason, for fewer than 4 pairs or a constant. Raises ValueError if the lengths differ or
     the level is not between 0 and 1.

@@ -12,7 +12,7 @@ from fingerflow.models.observer.trials_table import Trials
 
 
 class ObserverSettings(TypedDict):
-    """Settings of a bootstrap interval: its level, the number of resamples and their seed."""
+    """Settings of an interval: its level, the number of resamples and their seed."""
 
     level: float
     resamples: int
@@ -38,7 +38,7 @@ def observe(
     resamples: int = 2000,
     seed: int = 0,
 ) -> dict[str, MetricSummary]:
-    """Compute for each metric the ideal observer of Willemet et al. 2021 (figure S11 and its table).
+    """Compute the ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
 
     Args:
         trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.

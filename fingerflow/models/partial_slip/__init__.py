@@ -1,4 +1,4 @@
-"""Partial slip of a fingertip under tangential load (Terekhov & Hayward 2011): model, fit, classification of trials."""
+"""Partial slip of a fingertip under a tangential load (Terekhov & Hayward 2011): model, fit, verdict of a trial."""
 
 from fingerflow.models.partial_slip.comparison import CurveComparison, CurveScore, compare_curves
 from fingerflow.models.partial_slip.evolution import (

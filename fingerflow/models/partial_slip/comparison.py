@@ -31,7 +31,7 @@ class CurveScore:
 
 @dataclass(frozen=True)
 class CurveComparison:
-    """Result of `compare_curves`: `scores` by curve, name of the `best` curve, and number of `frames` used.
+    """Result of `compare_curves`: `scores` by curve, the `best` of them, and the number of `frames` used.
 
     Without enough frames `scores` is empty, `best` is "" and `reason` says why.
     """

@@ -1,4 +1,4 @@
-"""Shrinking of a fingertip's stick region under tangential load (Terekhov & Hayward 2011, equations 3 to 5).
+"""Shrinking of a fingertip's stick region under a tangential load (Terekhov & Hayward 2011, equations 3 to 5).
 
 N is the normal and T the tangential force, mu_s and mu_k the coefficients of static and kinetic friction, d^2 the
 stuck area over the contact area.

@@ -22,7 +22,7 @@ _WIDEST = 1.0  # widest informative interval of mu_k / mu_s
 
 @dataclass(frozen=True)
 class FrictionFit:
-    """Result of `fit_friction`; a number that the data do not determine is NaN, and `reason` says why.
+    """Result of `fit_friction`; what the data do not determine is NaN, and `reason` says why.
 
     Attributes:
         mu_s, mu_k: coefficients of static and kinetic friction; mu_k is not below 0.

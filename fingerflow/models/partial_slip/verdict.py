@@ -79,8 +79,7 @@ class TrialVerdict:
 def judge_trial(
     stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, critical_area_std: float = 0.0
 ) -> TrialVerdict:
-    """Decide whether the stuck area of a trial has a minimal size before it vanishes: corridor rule of Terekhov &
-    Hayward 2011, section 3.
+    """Decide whether a trial has a minimal adhesion area: the corridor rule of Terekhov & Hayward 2011, section 3.
 
     The rule takes T/N just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it.
     The paper states that a minimal area exists if that d^2 is above 0.05. There its curve for equal coefficients, d^2 =

@@ -86,7 +86,7 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
-    """Return names and units of the columns in the heading, and whether the line below it holds units."""
+    """Return names and units of the columns, and whether the line below the heading holds units."""
     names, units = [], {}
     for cell in cells:
         name, unit = split_unit(cell)

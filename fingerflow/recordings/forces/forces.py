@@ -60,7 +60,7 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """Return the forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
+        """Return the same forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.
@@ -81,7 +81,7 @@ class Forces:
         return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
-        """Return every channel at the times of the frames, low-passed to half of the frame rate.
+        """Return every channel at the times of the frames, low-passed to half the frame rate.
 
         frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
         frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces

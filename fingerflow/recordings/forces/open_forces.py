@@ -190,7 +190,7 @@ def _read_table(location: Path) -> ForceTable:
 
 
 def _name(table: ForceTable, column: Column) -> str:
-    """Return the name of a column that is selected by name or number; raise FingerflowError if it does not exist."""
+    """Return the name of a column given by name or number; raise FingerflowError if it does not exist."""
     names = list(table.columns)
     if isinstance(column, int):
         if not 1 <= column <= len(names):

@@ -84,7 +84,7 @@ def is_read(line: str) -> bool:
 
 
 def separator_of(line: str) -> str | None:
-    """Return the separator of the cells of a line; None for blanks, between which a comma is a decimal comma."""
+    """Return the separator of the cells of a line; None for blanks, between which commas are decimal commas."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)

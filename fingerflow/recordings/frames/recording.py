@@ -51,7 +51,7 @@ class Description:
 
 
 class DamagedFrame(FingerflowError):
-    """Error for a single frame that cannot be read although others can; its text is the reason, as in `unreadable`."""
+    """Error for one frame that cannot be read, although others can; the text is the reason, as in `unreadable`."""
 
 
 class Recording(ABC):
@@ -300,7 +300,7 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of differences of successive frames. For a few indices a Python loop is faster than NumPy."""
+    """Return the set of steps between successive indices. For a few indices a Python loop is faster than NumPy."""
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}

@@ -53,7 +53,7 @@ def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
 
 
 class _Complaints(logging.Filter):
-    """Log filter that collects tifffile's warnings about a damaged file, which tifffile opens nevertheless."""
+    """Log filter that collects tifffile's messages about a damaged file, which it opens nevertheless."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Opening of HDF5 files after a child process has traversed them without a crash."""
+"""Opening of HDF5 files only after another process has traversed them without a crash."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ _AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # running, or waiting 
 
 
 class IdleLimit:
-    """Context that kills a process which shows no activity for too long.
+    """Context that kills a process which is idle for too long.
 
     It checks once a second. A check counts as idle if neither the process nor any of its children is running, waits for
     a CPU, or has used CPU time since the check before. Time in which other programs occupy the machine, or in which it

@@ -1,4 +1,4 @@
-"""Conversion of a result to a table of rows and named columns."""
+"""Conversion of a result to a table with rows and named columns."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -43,7 +43,7 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return trajectories as `napari.layers.Tracks` requires them: ID, t, y, x in frames and px, sorted by ID and time.
+    """Return tracks as `napari.layers.Tracks` requires them: ID, t, y, x in frames and px, sorted by ID and time.
 
     Rows exist where a point is tracked. The named `variables` are further columns, napari's properties.
     """

@@ -26,7 +26,7 @@ def export_table(
     variables: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a table of selected variables as .csv, or the whole result as .mat.
+    """Write a table as .csv, or the whole result as .mat.
 
     Args:
         result: of `process`, or of a stream.
@@ -81,7 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file is a table or map written by this module, by its first bytes, variables or tags."""
+    """Return whether a file is a table or map of this module, by its first bytes, its variables, or its tags."""
     try:
         if path.suffix == ".mat":
             return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}

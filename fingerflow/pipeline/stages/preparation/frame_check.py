@@ -94,7 +94,7 @@ class FrameCheckStage(Stage):
         self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
-        """Set the status of each frame and warn of unusable frames. Raises FingerflowError where no frame is usable."""
+        """Set the status of each frame and warn of unusable ones. Raises FingerflowError where no frame is usable."""
         status = self._status
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
@@ -137,7 +137,7 @@ class FrameCheckStage(Stage):
 
 
 def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the block means (n, rows, columns) of frames (n, H, W)."""
+    """Return block means (n, rows, columns) of frames (n, H, W)."""
     return block_means(frames)[0]
 
 

@@ -1,4 +1,4 @@
-"""Measurement of how dense flow blurs the border of a stick region, on the flow's reference picture."""
+"""Measurement of how dense flow blurs the border of a stick region, on the reference picture of the flow."""
 
 import cv2
 import numpy as np

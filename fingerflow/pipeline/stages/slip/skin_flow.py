@@ -143,7 +143,7 @@ def _planes(field: Field, like: Tensor) -> Tensor:
 
 
 def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
-    """Return at every pixel (H, W, 2) the displacement of the nearest of P points (P, 2) px; NaN without points."""
+    """Return at every pixel the displacement (H, W, 2) of the nearest of points (P, 2) px; NaN without points."""
     if not len(places):
         return np.full((*shape, 2), np.nan, np.float32)
     empty = np.ones(shape, np.uint8)

@@ -1,4 +1,4 @@
-"""Displacement of each marker of a soft sensor since its position with the gel at rest."""
+"""Displacement of each marker of a soft sensor from its position with the gel at rest."""
 
 import numpy as np
 

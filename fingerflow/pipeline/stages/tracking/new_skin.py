@@ -37,7 +37,7 @@ class Known(NamedTuple):
 
 
 class NewSkin:
-    """Detector of skin without points that is in contact or will soon be.
+    """Detector of skin without points that is in contact or about to be.
 
     Args:
         topography_to_contact: (2, 3) affine map, px to px.
@@ -168,7 +168,7 @@ class NewSkin:
         return np.asarray(warped > 0)
 
     def _beside(self, place: Points) -> Mask:
-        """Return the mask (h, w) of pixels closer to a point than half the median point spacing."""
+        """Return the mask (h, w) of px nearer to a point than half the median spacing of points."""
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)

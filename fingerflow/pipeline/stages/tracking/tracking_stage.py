@@ -78,7 +78,7 @@ class TrackingStage(Stage):
         return self._settings.direction == "backward"
 
     def begin(self) -> None:
-        """Find the contact region in which to seed points; warn if there is no contact and therefore no points."""
+        """Find the contact region in which to seed points; warn where there is no contact, hence no points."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
@@ -222,7 +222,7 @@ class TrackingStage(Stage):
         return self._add(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Extend the results by `more` points and return whether that was possible; warn if a limit is reached."""
+        """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
