@@ -51,7 +51,7 @@ def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Dis
 
 
 def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
-    """Return all dark discs with a radius, over the shorter side of the view, within `radii`; see `find_discs`."""
+    """Return all discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
     image = _checked(view_image, "the view")
     empty = None if background is None else _checked(background, "the background of the view")
     if empty is not None and empty.shape != image.shape:

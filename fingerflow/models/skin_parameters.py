@@ -24,7 +24,7 @@ class SkinParameters:
     width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """Return the skin in ``count`` elements: parallel quantities scale with element length, links inversely."""
+        """Return the skin in ``count`` elements: link stiffness is inverse to element length, all else proportional."""
         finer = (count - 1) / 500
         return replace(
             self,

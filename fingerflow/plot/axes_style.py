@@ -1,4 +1,4 @@
-"""Colours, axes and legends common to all figures."""
+"""Colours, axes and legends that all figures share."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -173,7 +173,7 @@ _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name o
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
-    """Return the name of a key as words without its unit, and the unit: `gauge_length_mm` is "gauge length", "mm"."""
+    """Return the name of a key in words without its unit, and the unit, "" if it has none."""
     if name == "mm_per_px":
         return "scale", "mm/px"
     for end, unit in _UNITS.items():

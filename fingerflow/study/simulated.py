@@ -163,7 +163,7 @@ def simulate_table(design: Design) -> dict[str, Any]:
 
 
 def write_recordings(folder: Path, design: Design) -> None:
-    """Write a `ChainPress` recording with its scene for each trial, `answers.csv` and `truth.json`, into a new folder.
+    """Write one `ChainPress` recording per trial with its scene, `answers.csv` and `truth.json`, into a new folder.
 
     A trial's divergence varies through its force, 2 N with a standard deviation of a tenth. The observer perceives the
     chain's divergence at this force.

@@ -111,7 +111,7 @@ class MarkerGel:
         return result
 
     def positions(self, frame: int) -> Array:
-        """Return the positions (N, 2) px of the markers in a frame."""
+        """Return the current positions (N, 2) px of the markers."""
         return self.markers + self.displacement(self.markers, frame)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:

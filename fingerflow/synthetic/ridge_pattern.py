@@ -33,7 +33,7 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """Orientation field of ridges; wave numbers are multiples of `step` (rad/mm), or arbitrary if it is 0."""
+    """Orientation field of a ridge pattern; `step` (rad/mm) is the unit of its wave numbers, 0 if any is allowed."""
 
     levels: Levels
     step: float

@@ -87,7 +87,7 @@ class Previewer:
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Return the forces at the times of the selected frames, by their names in results."""
+        """Return the forces at the selected frames, by the names of the results."""
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,

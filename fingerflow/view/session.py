@@ -325,7 +325,7 @@ class Session:
             return packed({"key": key, "points": points}, {**arrays, "known": known})
 
     def table(self, asked: Mapping[str, Any]) -> str:
-        """Return a CSV table of the time series or of the frame that the page shows."""
+        """Return a CSV table of the shown time series, or of the shown frame."""
         with self._lock:
             result = self._opened_result()
             if asked["of"] == "frame":

@@ -17,7 +17,7 @@ Samples = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Force channels with common sample times.
+    """Force channels sampled at common times.
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
     "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `trigger_time`: s on

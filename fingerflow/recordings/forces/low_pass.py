@@ -115,7 +115,7 @@ def kernel_half_width(nyquist: float) -> float:
 
 
 def _window_polynomial() -> Samples:
-    """Return coefficients of a polynomial in 1 - position^2 that equals Kaiser's window; the constant comes first.
+    """Return the coefficients of a polynomial in 1 - position^2 for Kaiser's window, the constant first.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """

@@ -1,4 +1,4 @@
-"""Export of a result to a MATLAB file, with indices that count from 1."""
+"""Export of a result to MATLAB, whose indices count from 1."""
 
 import json
 from pathlib import Path

@@ -212,7 +212,7 @@ class SlipStage(Stage):
             self.results.put(name, values)
 
     def _limit(self) -> float:
-        """Return the displacement, mm, below which skin counts as stuck; NaN if the fit of the border gave none."""
+        """Return the displacement, mm, below which skin counts as stuck; NaN if the limit is not known."""
         if self._settings.criterion != "border":
             return self._settings.stuck_mm
         return math.nan if self._border is None else self._border.level

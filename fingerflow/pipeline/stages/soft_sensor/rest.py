@@ -68,7 +68,7 @@ def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
 
 
 def _unevenness(points: Points, spacing: float) -> float:
-    """Return how uneven a marker lattice is: mean distance, px, of markers from the centroid of four neighbours."""
+    """Return how uneven markers lie: mean distance, px, from the centroid of their four nearest neighbours."""
     if len(points) < 5:
         return 0.0
     number = cKDTree(points).query(points, k=5)[1][:, 1:]
