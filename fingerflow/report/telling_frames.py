@@ -22,7 +22,7 @@ class Telling(NamedTuple):
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Select at most five key frames of a result, returned in order of time.
+    """Select at most five key frames of a result, in order of time; of more, those that come first in the lists below.
 
     If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
     load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft

@@ -71,8 +71,7 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """Return the content of a MATLAB file in JSON types (see :func:`as_json`), or a text on what is wrong with the
-    file.
+    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or a text that says what is wrong with it.
 
     SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
     elsewhere. Therefore the values themselves are passed on.
