@@ -60,7 +60,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Each:
-    """Type of a key with one number for all forces or a list, normal first; numbers are in ``among`` if not empty."""
+    """Type of a key with one number for all forces, or a list, normal first; each in ``among`` unless that is empty."""
 
     number: NumberType = NumberType()
     among: tuple[float, ...] = ()

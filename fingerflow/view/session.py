@@ -314,7 +314,7 @@ class Session:
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the time series of one point with status, or the median of several points with their number."""
+        """Return the time series of one point with status, or the median of several, and the number of known points."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()

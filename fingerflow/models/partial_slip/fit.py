@@ -164,7 +164,7 @@ def fit_family(
 
 
 def student_weights(squared: Values, weights: Values) -> Values:
-    """Return robust weights (R, F) of frames under Student's t, whose scale is estimated from the squared residuals."""
+    """Return robust weights (R, F) of frames under Student's t, its scale estimated from the squared residuals."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
     result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
     return result
