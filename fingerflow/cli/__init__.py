@@ -1,4 +1,4 @@
-"""The command line: one command a function, no logic; each file has the commands of one purpose."""
+"""Command line of fingerflow: each function is a command without logic, each file groups commands of one purpose."""
 
 import _thread
 import signal
@@ -14,7 +14,7 @@ from fingerflow.errors import FingerflowError
 
 
 def main() -> None:
-    """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    """Run the command line; exit status 0 for success, 2 for an error that the user can correct, 130 if interrupted."""
     others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.

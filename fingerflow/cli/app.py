@@ -1,4 +1,4 @@
-"""The application to which commands add themselves, and the options that several of them have."""
+"""Typer application to which all commands are added, and options that several commands share."""
 
 import json
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ Overwrite = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """`fingerflow.process` with a progress bar, unless it is to be quiet; torch is loaded here."""
+    """Run `fingerflow.process` with a progress bar unless `quiet`; torch is imported only here."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)

@@ -1,4 +1,4 @@
-"""Bundles for live streams."""
+"""Commands for deployment bundles, which process live streams."""
 
 import logging
 from pathlib import Path
@@ -39,7 +39,7 @@ def stream(context: typer.Context) -> None:
 
 
 def _forces_of(file: Path) -> "LiveForces | None":
-    """Return the forces as `process` does; None where they cannot be read, and the log says why."""
+    """Return the forces of a scene as `process` computes them; log why and return None if they cannot be read."""
     from fingerflow.pipeline.run import process
     from fingerflow.player.live_data import LiveForces
     from fingerflow.schema.scene import load_scene

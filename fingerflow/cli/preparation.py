@@ -1,4 +1,4 @@
-"""Before a scene is processed: what a recording holds, the scene file, the calibration."""
+"""Commands that prepare a scene: facts about a recording, the scene file, and the calibration."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,4 +1,4 @@
-"""From a scene to a result, and what results there are."""
+"""Commands that compute results from a scene, and that list the variables of results."""
 
 import json
 from pathlib import Path

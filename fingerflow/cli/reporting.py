@@ -1,4 +1,4 @@
-"""From results to pages, figures and verdicts."""
+"""Commands that turn results into pages, figures and verdicts."""
 
 import json
 from pathlib import Path

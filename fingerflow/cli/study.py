@@ -1,4 +1,4 @@
-"""Commands of a study: many recordings, one table."""
+"""Commands for studies, which compute one table from many recordings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -61,7 +61,7 @@ def run(
     ] = False,
     together: Together = None,
 ) -> None:
-    """Process what has no result yet, or another one than it should, and write the table of trials."""
+    """Process all trials whose result is missing or out of date, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.run_study import plan_run, run_study
     from fingerflow.study.table import write_tables

@@ -1,4 +1,4 @@
-"""Recordings with known truth."""
+"""Commands that write synthetic recordings with known truth."""
 
 import shutil
 from pathlib import Path
@@ -70,7 +70,7 @@ def simulate(
 
 
 def _remove_demo(folder: Path) -> None:
-    """Removes what an earlier demo wrote; raises FingerflowError, and removes nothing, where anything else is there."""
+    """Remove the files of an earlier demo; raise FingerflowError, removing nothing, if the folder holds others."""
     for name in _DEMO_FILES:
         unfinished(folder / name)  # removes what a killed demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)

@@ -1,4 +1,4 @@
-"""From results to files for other programs."""
+"""Commands that export results to files for other programs."""
 
 from pathlib import Path
 from typing import Annotated

@@ -20,7 +20,7 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True)
 class Abscissa:
-    """Horizontal axis: name of its variable, values (F,) and label."""
+    """Horizontal axis of curves: name of its variable, values (F,) in F frames, and label."""
 
     name: str
     values: NDArray[np.float64]
@@ -28,7 +28,7 @@ class Abscissa:
 
 
 def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
-    """Return the horizontal axis of curves.
+    """Return the horizontal axis for curves of a result.
 
     Args:
         result: a data set with `time`.
@@ -78,7 +78,7 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Return the standard deviation of a sample, from second differences, which a steady rise does not affect."""
+    """Return the noise (standard deviation) of a force, by second differences, which a steady rise does not affect."""
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

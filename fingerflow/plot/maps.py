@@ -46,17 +46,18 @@ class Quantity:
 
     @property
     def unit(self) -> str:
-        """Return the unit of the map."""
+        """Return the unit in which the map shows the quantity."""
         return VARIABLES[self.variable].shown_unit.name
 
     def values(self, frame: xr.Dataset) -> Values:
-        """Return the values of a frame in the unit of the map."""
+        """Return the values of the quantity in one frame, in the unit of the map."""
         values = frame[self.variable].values if self.compute is None else self.compute(frame)
         return np.asarray(VARIABLES[self.variable].shown_values(values), dtype=np.float64)
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return principal strains (M, 2), major first, and the direction (M,) of the major one from x towards y (rad).
+    """Return principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major one from x
+    towards y (rad).
 
     They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
     """
@@ -84,7 +85,7 @@ QUANTITIES: dict[str, Quantity] = {
 def field_map(
     result: xr.Dataset, quantity: str, frame: int, axes: Axes | None = None, limit: float | None = None
 ) -> Axes:
-    """Draw a map of one frame on the glass (mm, y down), coloured by a quantity, with the outline of the contact.
+    """Draw a map of one quantity in one frame on the glass (mm, y down), with the outline of the contact.
 
     Divergence, curl and displacement are quantities of the points: a triangle has the mean of its corners. The others
     are quantities of the triangles. The map of displacement has arrows, magnified as its title states; maps of
@@ -151,7 +152,7 @@ def field_map(
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """Return the limit of the colour scale, in the unit of the map.
+    """Return a common limit of the colour scale for maps of several frames, in the unit of the map.
 
     It is the largest over these frames of the 0.98 quantile of the absolute values, at most three times their median; 1
     if all are 0.
@@ -208,7 +209,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Draw lines of equal length along a principal strain, at the centres of some triangles."""
+    """Draw short lines along a principal strain direction at the centres of some triangles, all of equal length."""
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
@@ -220,7 +221,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` places: in each square cell of a grid the one nearest to its middle."""
+    """Return indices of about `most` positions, evenly spread: the one nearest to the centre of each grid cell."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
@@ -233,7 +234,7 @@ def _spread(places: Values, most: int) -> NDArray[np.intp]:
 
 
 def _frame(axes: Axes, places: Values | None) -> None:
-    """Set limits around places, with y down."""
+    """Set the axis limits of a map around positions, with y pointing down."""
     if places is not None:
         low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))

@@ -1,4 +1,4 @@
-"""Picture of a frame with its results: mask of the real contact, ellipse, points, scale bar."""
+"""Image of a frame with results drawn over it: real contact, ellipse, points, scale bar."""
 
 import numpy as np
 import torch
@@ -26,14 +26,14 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, each picture once."""
+    """Return the names of a scene's views; of names for the same rectangle, only one."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
 
 
 def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
-    """Draw a view of a frame with micro-junctions, the ellipse of the gross contact, points and a scale bar.
+    """Draw one view of a frame with real contact, ellipse of the gross contact, points and a scale bar.
 
     Args:
         result: returned by `fingerflow.process` for this scene.
@@ -89,7 +89,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def said(frame: xr.Dataset) -> str:
-    """Return frame, time and force as text."""
+    """Return a text with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")
@@ -113,7 +113,7 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    """Raise FingerflowError if a result was computed from another recording than the scene's."""
+    """Check that a result was computed from this recording; raise FingerflowError for another one."""
     known = result.attrs.get("recording")  # missing in results of older versions
     settings = scene.recording
     end = len(recording) if settings.last_frame is None else settings.last_frame + 1
@@ -126,7 +126,7 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
-    """Draw the current positions of points, and the first positions of lost ones."""
+    """Draw the positions of points in a frame, and for lost points their positions in the first frame."""
     if "position" not in result:
         return
     name = followed(result)

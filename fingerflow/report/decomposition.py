@@ -17,7 +17,7 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Decomposition of the displacement of P points into `parts`, named by PARTS; NaN where unknown.
+    """Decomposition of a displacement field of P points into `parts`, named by PARTS; NaN where unknown.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
@@ -32,7 +32,8 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose the least-squares linear field about the centre of the points into its parts, and the rest.
+    """Decompose a displacement field into the parts of its least-squares linear fit about the centre of the points, and
+    the rest.
 
     Args:
         points: (P, 2) mm, reference positions x and y.
@@ -107,7 +108,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return the factor, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
+    """Return the arrow scale, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

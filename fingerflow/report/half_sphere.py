@@ -32,7 +32,7 @@ def draw_half_sphere(axes: Axes) -> Axes:
 
 
 def draw_lengths(axes: Axes) -> Axes:
-    """Draw figure S4 B: L and a (mm) against the normal indentation (mm)."""
+    """Draw figure S4 B: arc length L and contact radius a (mm) against the normal indentation (mm)."""
     delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
     axes.plot(delta, arc_length(delta, RADIUS_MM), color=RED, label="L, arc of the skin")
     axes.plot(delta, contact_radius(delta, RADIUS_MM), color=INK, label="a, contact")

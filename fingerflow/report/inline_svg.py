@@ -1,4 +1,4 @@
-"""Inline SVG of a matplotlib figure for a page, and its curves as numbers for the page's cursor."""
+"""Inline SVG of a matplotlib figure for an HTML page, and the values of its curves for the page's cursor."""
 
 import base64
 import io
@@ -56,7 +56,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
 
 
 def _smaller(found: re.Match[str]) -> str:
-    """Return a large opaque picture as JPEG, a fifth of its size; others unchanged."""
+    """Return a large opaque image as JPEG, a fifth of its size; other images are returned unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -66,7 +66,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the named curves of `count` frames for the page's cursor, and their box in the figure.
+    """Return values of the named curves in axes for the page's cursor, and the position of the axes in the figure.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.
@@ -96,5 +96,5 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
 
 
 def _short(value: float) -> float | None:
-    """Return a value to five digits, or None (JSON null) if it is not finite."""
+    """Return a number rounded to five digits for JSON; None (null) if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

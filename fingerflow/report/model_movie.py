@@ -22,7 +22,7 @@ _HELD = 20  # frames for which the last picture is repeated
 
 
 def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
-    """Write an MP4 with one picture for each time of the presses; raise FingerflowError if it cannot be written."""
+    """Write an MP4 with one image per time of the simulated presses; raise FingerflowError if it cannot be written."""
     write_atomically(path, lambda part: encode_video(_with_progress(presses, progress), part))
     return path
 

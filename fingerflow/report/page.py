@@ -36,7 +36,7 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure of the page: unique name, SVG, and its curves as numbers, or None."""
+    """Figure of the report page: unique name, SVG text, and values of its curves or None."""
 
     name: str
     svg: str
@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Figures shown together, and their layout: a class of page.css."""
+    """Group of figures that are shown together; `kind` is their layout, a class of page.css."""
 
     label: str
     figures: list[Drawn]
@@ -54,7 +54,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: a title and its panels, shown one at a time, beginning with index ``first``."""
+    """Section of the page: title, and panels of which one is shown at a time, at first that of index ``first``."""
 
     title: str
     panels: list[Panel]
@@ -79,7 +79,7 @@ class _Figures:
         return Drawn(name, inline_svg(figure, name, label))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of curves against the default abscissa, or None if no variable is known.
+        """Return a section of curves against the default abscissa; None if none of the variables is known.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -116,7 +116,7 @@ def write_report(
     video: bool = True,
     overwrite: bool = False,
 ) -> Path:
-    """Write report.html and overlay.mp4 into a folder and return the path of the page.
+    """Write the report of a result, report.html and overlay.mp4, into a folder and return the path of the page.
 
     Sections without variables in the result are left out.
 
@@ -276,7 +276,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map has a value in any of these frames."""
+    """Return whether a map of a quantity has a value in any of these frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -290,7 +290,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the picture that `fingerflow calibrate` wrote beside its file, in base64, or None."""
+    """Return the overlay image that `fingerflow calibrate` wrote beside its file, in base64, or None."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

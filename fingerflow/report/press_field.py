@@ -1,4 +1,4 @@
-"""True displacement of the simulated press of `fingerflow demo`, for figures S6 and S13."""
+"""True displacement field of the simulated press of `fingerflow demo`, for figures S6 and S13."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True field at P points in the contact of the last frame, and medians of F frames; NaN where there is none."""
+    """True displacement and curl at P points in the last frame's contact, median curl in F frames; NaN if none."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact

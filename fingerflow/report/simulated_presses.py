@@ -1,4 +1,4 @@
-"""Presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
+"""Simulated presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
 
 The chain is a section through an axisymmetric finger: its strains are radial and hoop, and maps are rotated about
 the axis. Strains are relative to the undeformed finger, those of a recording to each point's onset of contact.
@@ -34,7 +34,7 @@ _RADII = 201
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Presses at K frictions with one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
+    """Simulated presses at K frictions under one force trace of T times; `chain` is (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -42,11 +42,11 @@ class SimulatedPresses:
     chain: PressedChain
 
     def index(self, friction: float) -> int:
-        """Return the index of the press with a friction."""
+        """Return the index of the press with a given friction coefficient."""
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return strains from the middle of each contact to its edge, interpolated between elements."""
+        """Return strains along each contact from its middle to its edge, interpolated between elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -68,7 +68,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from 0 to the edge; NaN without contact."""
+    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from middle to contact edge; NaN without contact."""
 
     radius: Values
     radial: Values  # du/dx
@@ -172,7 +172,7 @@ def friction_colours(presses: SimulatedPresses) -> Any:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return rates (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
+    """Return time derivatives (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
     step = float(time[1] - time[0])
     width = max(1, round(_SLOPE_S / step / 2))
     rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")

@@ -24,7 +24,7 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stresses and strains below the surface for K presses, at Y positions along the surface."""
+    """Stress and strain below the surface in K presses, at Y positions along the surface and several depths."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -35,7 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under the chain's pressure and traction, and the resulting viscoelastic strain."""
+    """Compute half-space stress under the presses' pressure and traction, and the viscoelastic strain that follows."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -144,7 +144,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return line styles of the presses, ever thinner: loads nearly coincide, and earlier lines must stay visible."""
+    """Return the line styles of the presses, ever thinner, as nearly equal curves would hide each other."""
     widths = np.linspace(3.5, 0.9, len(presses.friction))
     return [
         {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}

@@ -1,4 +1,4 @@
-"""Key frames of a trial, for maps and columns of numbers: chosen by force, slip, displacement or contact."""
+"""Key frames of a trial, shown as maps and columns of numbers: selected by force, slip, displacement or contact."""
 
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ _LOADED = 0.2  # share of the largest normal force above which a load ratio is u
 
 
 class Telling(NamedTuple):
-    """Key frame: its index in the result, and why it was chosen."""
+    """Key frame: its index in the result, and the reason for its selection."""
 
     frame: int
     why: str
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Return at most five key frames in order of time; of more, those first in the lists below.
+    """Select at most five key frames of a result, in order of time; of more, those that come first in the lists below.
 
     If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
     load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft
@@ -47,7 +47,7 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which frames (F,) have known fields, or contact where the result has no fields."""
+    """Return a mask (F,) of frames with known fields, or with contact if the result has no fields."""
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -108,7 +108,7 @@ def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return at most five frames that are apart by 2 % of the frames, preferring earlier entries, in order of time."""
+    """Return up to five key frames in order of time, at least 2 % of the recording apart; earlier entries win."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -43,7 +43,7 @@ METRICS = (
 
 
 def label_of(metric: str) -> str:
-    """Return the label of a metric, or of its difference (comparison less reference) for a name with `_difference`."""
+    """Return the axis label of a metric; a name with `_difference` means comparison less reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
@@ -83,7 +83,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high values."""
+    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high metric values."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -106,7 +106,8 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude: trials, median, mean ± SD, ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
+    ANOVA.
 
     Args:
         axes: axes to draw into.
@@ -208,7 +209,7 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
 
 
 def finished_beside(axes: Axes, title: str) -> Axes:
-    """Finish axes as `finished` does, with the legend beside the axes, where it covers no dot."""
+    """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
     finished(axes)
     axes.legend(
         frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
@@ -234,7 +235,7 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Return the conditions' names in rising order, and the index of each trial's condition."""
+    """Return the names of the conditions in rising order, and for each trial the index of its condition."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 

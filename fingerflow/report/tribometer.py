@@ -50,7 +50,7 @@ class TribometerTrace:
 def read_tribometer(
     path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> TribometerTrace:
-    """Read a trace by `open_forces`, in any of its formats.
+    """Read a tribometer trace from a file of any format of `open_forces`.
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
@@ -127,6 +127,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile, robust to large ratios at small normal forces."""
+    """Return an upper axis limit by the 0.99 quantile of values, so that few large ratios do not matter."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

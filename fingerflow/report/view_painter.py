@@ -1,4 +1,4 @@
-"""Views of a frame as pictures, with contact, points and displacement drawn over them."""
+"""Images of the views of a frame, with contact, points and displacement drawn over them."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ class ViewPainter:
     """Painter of contact, points and displacement over the views of a frame; colours are RGB."""
 
     def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-        """Check the recording; raise FingerflowError if the result was computed from another one."""
+        """Check that the result was computed from this recording; raise FingerflowError otherwise."""
         check_recording(result, scene, recording)
         self._result = result
         self._outlined = result[[name for name in _OUTLINED if name in result]]
@@ -32,7 +32,7 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Return the views of a frame (index in the result) side by side, (H, W, 3)."""
+        """Return an image (H, W, 3) of the views side by side in a frame, given by its index in the result."""
         picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
         outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
         parts = []

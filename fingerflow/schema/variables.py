@@ -1,4 +1,4 @@
-"""Result variables of a trial: name, dimensions, unit, definition, equation and unit for people, stated once.
+"""Result variables of a trial: name, dimensions, unit, definition, equation and shown unit, stated once.
 
 The data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries.
 Only the standard library is imported, because an exported bundle contains this file.
@@ -493,7 +493,7 @@ STREAM = (
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
-    """Return variables by their names."""
+    """Return the variables of several groups as a mapping from name to definition."""
     return {variable.name: variable for group in groups for variable in group}
 
 

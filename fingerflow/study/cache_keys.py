@@ -1,4 +1,4 @@
-"""Cache keys of a trial: digests of file contents, settings and code.
+"""Cache keys of a trial, which decide whether it must run again: digests of file contents, settings and code.
 
 `result` is the key of the whole result; `row` is the key of the row in the table and includes `result`. Which stages
 depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed gauge length reads no image.
@@ -27,7 +27,7 @@ _SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file or folder of a trial.
+    """Input file or folder of a trial, with size, time and digest of its content.
 
     Attributes:
         path: as it was found.
@@ -44,13 +44,13 @@ class InputFile:
 
     @property
     def whole(self) -> bool:
-        """Return True if the digest covers all bytes."""
+        """Return True if the digest covers all bytes of the file, rather than samples."""
         return self.size <= _WHOLE_BYTES
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Digests of result and row; `inputs` by the key of the scene that names each."""
+    """Cache keys of a trial: digests that its result and its row depend on, and its `inputs` by key of the scene."""
 
     result: str
     row: str
@@ -63,14 +63,14 @@ class Keys:
         return cls(found["result"], found["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
-        """Return the keys of the scene whose files are not certainly unchanged."""
+        """Return those keys of the scene whose input files have changed, or may have changed."""
         names = dict.fromkeys((*self.inputs, *now.inputs))
         both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
 
 
 def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
-    """Compute the keys of a trial in its current state.
+    """Compute the cache keys of a trial from its present files, settings and code.
 
     A file that `earlier` lists with the same size and modification time is not read again.
 
@@ -91,7 +91,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return the current state of a file or folder; the earlier digest is reused if size and time are unchanged."""
+    """Return the present state of an input file or folder; a digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -107,19 +107,19 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is certainly unchanged: a digest of samples counts only with an unchanged time."""
+    """Return True if a file is certainly unchanged; for a sampled digest, its time must be unchanged too."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 
 
 def all_codes() -> dict[str, str]:
-    """Return `code_of` by part."""
+    """Return the digests of the code behind a result and behind a row, by name."""
     return {part: code_of(part) for part in _PARTS}
 
 
 @cache
 def code_of(part: str) -> str:
-    """Return the digest of the code behind a part, "result" or "row"."""
+    """Return a digest of the code that computes a part of a trial, "result" or "row"."""
     if part == "result":
         return code_version()
     return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
@@ -134,7 +134,7 @@ def _files_of(file: Path) -> list[Path]:
 
 
 def _content(file: Path, size: int) -> Iterator[bytes]:
-    """Yield name and size, then all bytes or samples."""
+    """Yield name and size of a file, then all of its bytes or, for a large file, samples."""
     yield f"{file.name} {size} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:

@@ -45,7 +45,7 @@ def over_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Yield the results of tasks as they complete.
+    """Run tasks on the workers of a cluster, and yield their results in order of completion.
 
     Args:
         act: function of a module that a worker runs.
@@ -74,12 +74,12 @@ def over_workers(
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """Return the number of workers: as requested, else one per core; not more than tasks."""
+    """Return the number of workers to start: as requested, else one per core; at most one per task."""
     return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Return the threads per worker: this computer's cores divided among its workers, or one in a cluster."""
+    """Return the number of threads per worker: this computer's cores shared among workers, or one on a cluster."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -124,7 +124,7 @@ def _go_through(
 
 
 class _Workers:
-    """Number of a cluster's workers, which may change during a run.
+    """Counter of the workers of a cluster, whose number may change during a run.
 
     A cluster without workers may still get some: the run then waits, with a warning.
     """
@@ -141,7 +141,7 @@ class _Workers:
         self._ended.set()
 
     def room(self) -> int:
-        """Return the number of tasks that may be in flight."""
+        """Return how many tasks may be submitted to the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
     def _look(self) -> None:
@@ -252,7 +252,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 @contextmanager
 def _interrupt_once() -> Iterator[None]:
-    """Make SIGTERM end a run as Ctrl-C does."""
+    """Context in which SIGTERM ends a run as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""`fingerflow study init`: a manifest generated from the files in a folder."""
+"""Command `fingerflow study init`: writes a manifest from the files found in a folder."""
 
 import csv
 import io
@@ -30,7 +30,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Files written by `init_study`: the manifest and its table; number of trials and what is still to be filled in."""
+    """Outcome of `init_study`: written manifest and table, number of trials, and what the user has to fill in."""
 
     manifest: Path
     table: Path
@@ -39,7 +39,7 @@ class FoundFiles(NamedTuple):
 
 
 def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
-    """Write `study.toml` and `trials.csv` into a folder of recordings.
+    """Write `study.toml` and `trials.csv` for the recordings found in a folder.
 
     If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
     columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared
@@ -186,7 +186,7 @@ results = "results"           # where results, the table of trials and the pages
 
 
 def _under_scene(text: str) -> str:
-    """Return a scene file as tables below [scene], without the keys that each trial sets itself."""
+    """Convert the text of a scene file to tables below [scene], without keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:
         if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):

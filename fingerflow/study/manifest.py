@@ -1,4 +1,4 @@
-"""`study.toml`: the recordings of a study, their shared scene, and the data known about each trial."""
+"""Manifest of a study, `study.toml`: its recordings, their shared scene, and what is known about each trial."""
 
 import difflib
 import os
@@ -29,7 +29,7 @@ _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 @dataclass(frozen=True)
 class TrialEntry:
-    """One row of the manifest.
+    """One trial of a study: a row of the table of trials in the manifest.
 
     Attributes:
         name: of its folder among the results, unique in the study.
@@ -52,7 +52,7 @@ class TrialEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A study; `shared` is its scene as parsed from TOML, whose keys each trial may replace."""
+    """Manifest of a study; `shared` is the scene of all trials as parsed from TOML, whose keys a trial may replace."""
 
     path: Path
     results: Path
@@ -60,12 +60,12 @@ class Manifest:
     trials: tuple[TrialEntry, ...]
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; raises FingerflowError with the place of the row, key, value and remedy."""
+        """Return the scene of a trial; raise FingerflowError with row, key, value and remedy if it is invalid."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
     def by_name(self) -> dict[str, TrialEntry]:
-        """Return the trials by the names of their folders."""
+        """Return the trials by name, which is also the name of their folder."""
         return {entry.name: entry for entry in self.trials}
 
 
@@ -130,7 +130,8 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each row of trials its row in a table of answers, matched by participant and trial; {} without one.
+    """Return the answer of each trial, as a row of the file of answers for the same participant and trial; {} without
+    one.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -154,7 +155,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row for every file that matches a pattern with names in braces, sorted by file name."""
+    """Return a row of trials for each file name that matches a pattern with names in braces, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -241,7 +242,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Raise FingerflowError for a column that is no key of a scene; keys below `views` are not checked here."""
+    """Check that a column names a key of the scene, else raise FingerflowError; keys below `views` always pass."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -253,7 +254,7 @@ def _check_key(dotted: str, place: str) -> None:
 
 
 def _value(cell: str) -> Any:
-    """Parse a cell as a TOML value (number, list, true or false); anything else is text."""
+    """Parse a cell of the table as a TOML value (number, list, true or false); any other cell is text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
     except tomllib.TOMLDecodeError:
@@ -261,7 +262,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Escape all characters but letters, digits, dots and dashes by their number: different texts stay different."""
+    """Return a file name for a text: characters other than letters, digits, dots and dashes are escaped uniquely."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

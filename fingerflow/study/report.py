@@ -1,4 +1,4 @@
-"""Index page of a study: every trial with its thumbnail and report, the figures and the statistics."""
+"""Index page of a study: all trials with thumbnails and reports, figures and statistics."""
 
 import json
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Distance of a trial from the others of its condition, in robust deviations, and the metric that shows it."""
+    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that has it."""
 
     deviations: float
     metric: str
@@ -44,7 +44,8 @@ class Outlier:
 def write_study_report(
     manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
 ) -> Path:
-    """Write `index.html`, `statistics.json` and `figures` into the results folder, and the report of each trial.
+    """Write `index.html`, `statistics.json` and `figures` of a study into its results folder, and the report of each
+    trial.
 
     Reports and thumbnails newer than the row of their trial are kept; workers write the others, as in
     `run_study`. Figures and statistics use the table alone.
@@ -104,7 +105,7 @@ def write_page(manifest: Manifest) -> str:
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """Return for each trial its largest distance from the median of its condition, and the metric that has it.
+    """Return for each trial the metric that deviates most from the median of its condition, and by how much.
 
     The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """
@@ -144,7 +145,7 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
 
 
 def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
-    """Return the page's data of each trial: failed trials first, then by decreasing outlier distance."""
+    """Return the entries of the trials on the page: failed trials first, then by decreasing outlier distance."""
     rows = []
     for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name

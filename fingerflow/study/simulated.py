@@ -50,14 +50,14 @@ class Design:
 
     @cached_property
     def frictions(self) -> Values:
-        """Return the friction coefficients (C,) of the conditions."""
+        """Return the friction coefficient of each of C conditions, (C,)."""
         low, high = self.friction
         amplitudes = np.asarray(self.amplitudes)
         result: Values = low * (high / low) ** (amplitudes / max(amplitudes.max(), 1e-9))
         return result
 
     def is_soft(self) -> NDArray[np.bool_]:
-        """Return True for participants (P,) with softer skin."""
+        """Return a mask (P,) of the participants with softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
 

@@ -1,4 +1,4 @@
-"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
+"""Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
 
 import warnings
 from dataclasses import asdict, dataclass
@@ -29,7 +29,7 @@ _FIRST = "divergence"  # the metric that the others are compared with
 
 @dataclass(frozen=True)
 class Counted:
-    """Number of trials, and how many each rule has left out."""
+    """Number of trials of a study, of those that each rule excludes, and of those used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -38,7 +38,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials for figures and statistics; if `answered` is False, `answer` is meaningless."""
+    """Trials that figures and statistics use; if `answered` is False, no answers exist and `answer` is meaningless."""
 
     trials: Trials
     answered: bool
@@ -46,7 +46,7 @@ class Sample:
 
 
 def sample_of(frame: Any) -> Sample:
-    """Return the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
+    """Select the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
 
     Raises FingerflowError if no trial has been measured.
     """

@@ -1,4 +1,4 @@
-"""Table of trials, and curves averaged by condition, from the stored rows of runs."""
+"""Table of trials of a study, and curves averaged by condition, from the stored rows of all trials."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,7 +77,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return the rows of the table: the manifest's columns of each trial, its facts, then its numbers, NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -106,7 +106,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return areas over the median of their participant, by column name; NaN where the median is 0 or unknown."""
+    """Return contact areas divided by the median of their participant, by column name; NaN if that is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")

@@ -1,4 +1,4 @@
-"""Execution of one trial by a worker: paths in, a short outcome out; everything else is written to its folder."""
+"""Execution of trials by a worker, which takes paths, writes to the trial's folder and returns a short outcome."""
 
 import errno
 import gc
@@ -61,7 +61,7 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process trials in one batch and write the row of each, or the reason why there is none.
+    """Process several trials in one batch, and write the row of each, or the reason for its failure.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
@@ -69,7 +69,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Run one trial of a batch of ``together`` trials, as steps."""
+    """Process one trial as a generator of steps, which run in turns with others of a batch of ``together`` trials."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -125,14 +125,14 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Return True if a row and its result belong to the trial in its current state."""
+    """Return True if a stored row and its result are valid for the trial's present inputs, settings and code."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)
 
 
 def _is_passing(error: BaseException) -> bool:
-    """Return True if the error is transient: the same trial may succeed another time."""
+    """Return True if an error is transient, such as lack of memory, so that the same trial may succeed another time."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
         or (isinstance(one, OSError) and one.errno in _PASSING)
@@ -149,7 +149,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Set a worker's threads and memory, once; exclude loaded objects from garbage collection."""
+    """Set the threads and memory allocator of a worker, once, and exclude loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

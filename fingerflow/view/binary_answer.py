@@ -1,4 +1,4 @@
-"""Packing of facts and arrays into one binary answer, which a browser reads without parsing numbers."""
+"""Packing of metadata and arrays into one binary answer, which a browser reads without parsing numbers."""
 
 import json
 import struct
@@ -14,7 +14,7 @@ _KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # tho
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the length of a JSON text (little-endian uint32, then 4 zeros), the text, and the arrays that it lists.
+    """Return an answer as bytes: length of a JSON text (little-endian uint32, 4 zeros), the text, the arrays it lists.
 
     The text and each array are padded to 8 bytes.
 

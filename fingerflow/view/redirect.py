@@ -1,4 +1,4 @@
-"""File that leads a browser to the page, so that the token of the page stands in no command line."""
+"""HTML file that redirects a browser to the page, so that no command line contains the token."""
 
 import html
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ def redirect(address: str) -> str:
 
 @contextmanager
 def redirect_file(address: str) -> Iterator[Path]:
-    """Yield an HTML file that leads to an address and that no other user can read; it is removed in the end.
+    """Yield an HTML file that redirects to an address and that no other user can read; it is removed at the end.
 
     Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
     """

@@ -1,4 +1,4 @@
-"""HTTP server of the page, whose requests a session answers."""
+"""HTTP server of the page; a session answers its requests."""
 
 import socket
 import threading
@@ -33,7 +33,7 @@ Answer = Callable[[Request], Any]
 
 
 class Served:
-    """Server of a page, until it is closed.
+    """Running server of a page, until it is closed.
 
     Attributes:
         address: URL that opens the page, with its token.
@@ -67,7 +67,7 @@ class Served:
             self.session.close()
 
     def __enter__(self) -> Self:
-        """Serve in a separate thread."""
+        """Serve the page in a separate thread."""
         self._thread = threading.Thread(target=self.run, name="view")
         self._thread.start()
         return self
@@ -94,7 +94,7 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
 
 
 def application(session: Session) -> Starlette:
-    """Return the application with all routes; access control is left to `Guard`."""
+    """Return the web application with all routes, without access control, which `Guard` adds."""
 
     def number(request: Request, name: str) -> int:
         text = request.query_params.get(name, "")

@@ -1,4 +1,4 @@
-"""Correlation, one-way analysis of variance and linear mixed model on columns of a table."""
+"""Correlation, one-way analysis of variance and linear mixed model between columns of a table of trials."""
 
 import math
 import re
@@ -30,7 +30,7 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Anova:
-    """F with its degrees of freedom, p, and eta^2, the share of the variance between groups; `trials` per group."""
+    """One-way ANOVA: F with degrees of freedom, p, and eta^2, the variance share between groups; `trials` per group."""
 
     f: float
     degrees: tuple[int, int]
@@ -43,7 +43,7 @@ class Anova:
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Fixed effects by name with intervals and p (Wald), and standard deviations between and within participants."""
+    """Fitted mixed model: fixed effects with intervals and p (Wald), deviations between and within participants."""
 
     effects: dict[str, float]
     intervals: dict[str, Interval]
@@ -67,7 +67,7 @@ def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correla
 
 
 def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
-    """Compute the rank correlation of pairs, ties at mean ranks.
+    """Compute Spearman's rank correlation of pairs; ties have mean ranks.
 
     The interval is Fisher's, with the variance of ranks (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as
     `pearson`.
@@ -76,7 +76,7 @@ def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correl
 
 
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
-    """Test whether groups of trials differ in their mean. NaN values are left out and counted.
+    """Test whether groups of trials differ in the mean of a variable. NaN values are left out and counted.
 
     The result is NaN, with the reason, for fewer than two groups of two trials, or no variation within any group.
 

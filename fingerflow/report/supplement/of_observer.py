@@ -1,4 +1,4 @@
-"""Figures S11, S12 and S13: the ideal observer, groups of participants and the curl, from the table of trials."""
+"""Figures S11, S12 and S13 from a table of trials: ideal observer, groups of participants, and curl."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Figure S11, of the metrics that the paper tests and the table has, without trials of fingers that slid."""
+    """Return figure S11: the ideal observer for the paper's metrics, without trials in which the finger slid."""
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
     missing = [name for name in _OBSERVED if name not in metrics]
@@ -52,7 +52,7 @@ def ideal_observer(sources: Sources) -> Sheet:
 
 
 def individual_performance(sources: Sources) -> Sheet:
-    """Figure S12: groups by each participant's median divergence, or its difference, and how they answer."""
+    """Return figure S12: groups of participants by median divergence (or its difference), and their answers."""
     metric = sources.difference("divergence")
     trials, lacks = sources.trials, sources.lacks(metric)
     if trials is None or lacks:
@@ -83,7 +83,7 @@ def individual_performance(sources: Sources) -> Sheet:
 
 
 def curl(sources: Sources) -> Sheet:
-    """Figure S13; A and B of the simulated press."""
+    """Return figure S13: curl, in panels A and B of the simulated press, in C of the table of trials."""
     panels = [
         SheetPanel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
         SheetPanel("B (simulated press)", lambda part: draw_median_curl(part.subplots(), sources.field)),

@@ -1,4 +1,4 @@
-"""Figures S1, S5, S7, S8 and S9: a tribometer trace, a table of trials, and the skin chain where it has an answer."""
+"""Figures S1, S5, S7, S8 and S9 of the supplement: from a tribometer trace, a table of trials, or the skin chain."""
 
 from functools import partial
 from typing import Any
@@ -30,7 +30,7 @@ _BY_CONDITION_NORMALISED = partial(draw_by_condition, normalised=True)
 
 
 def friction_and_area(sources: Sources) -> Sheet:
-    """Figure S1."""
+    """Return figure S1: friction from the tribometer trace, contact areas from the table of trials."""
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
@@ -51,7 +51,7 @@ def friction_and_area(sources: Sources) -> Sheet:
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Figure S5; J beside the table's by the skin chain, K by the skin chain."""
+    """Return figure S5: force and motion. J is drawn from the table and the skin chain, K from the skin chain."""
     found, lacking = _from_table(
         sources,
         ("B", draw_distribution, "max_force"),
@@ -72,7 +72,7 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Figure S7; D and E against differences where the table has them, as the axes say."""
+    """Return figure S7: displacement and force angle; D and E use differences if the table has them."""
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
@@ -85,7 +85,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
+    """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
     chain = (
         SheetPanel("B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses), columns=3, rows=2),
         SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
@@ -101,7 +101,7 @@ def surface_strain(sources: Sources) -> Sheet:
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
+    """Return figure S9: strain energy. A, B and C are from the skin chain; E uses differences if the table has them."""
     chain = (
         SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
