@@ -165,7 +165,7 @@ def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[
 
 
 def _ring(radius: float) -> tuple[Array, Array]:
-    """Return filter kernels (x, y) of a soft ring of outward unit vectors with weights of sum 1, for ellipses too."""
+    """Return two filter kernels (x, y) that respond to the edge of a disc: outward unit vectors on a soft ring."""
     width = 0.12 * radius
     reach = int(np.ceil(radius + 3 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

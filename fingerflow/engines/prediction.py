@@ -28,7 +28,7 @@ class Course(NamedTuple):
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Return the motion after the next frame, updated by the points `found` (1, N) in it.
+        """Update the predicted motion of the points by their positions `found` (1, N) in the next frame.
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

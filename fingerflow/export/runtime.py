@@ -55,7 +55,7 @@ class OnnxRuntime:
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
-        """Return the proxy of a module, whose methods ONNX Runtime executes."""
+        """Return a proxy of a torch module that executes its methods in ONNX Runtime."""
         return cast(M, _Executed(module, self))
 
     def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:

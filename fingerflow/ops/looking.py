@@ -1,4 +1,4 @@
-"""Test whether data-dependent branching is allowed."""
+"""Test whether an op may branch on the values of its tensors: not while torch traces, exports or compiles."""
 
 import torch
 from torch import Tensor

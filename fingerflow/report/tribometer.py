@@ -115,7 +115,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
 
 
 def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
-    """Draw figure S1 B: the coefficient of each epoch against the amplitude, with median and quartiles over epochs."""
+    """Draw figure S1 B: friction of each sliding epoch against vibration amplitude, with median and quartiles."""
     middles = 1e6 * ((epochs.edges[1:] + epochs.edges[:-1]) / 2).numpy()
     for medians in epochs.median.numpy():
         axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)

@@ -58,7 +58,7 @@ class Keys:
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Keys":
-        """Return the keys from those of `row.json`; raises KeyError or TypeError for anything else."""
+        """Return the cache keys stored in `row.json`; raise KeyError or TypeError if the JSON holds anything else."""
         inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
         return cls(found["result"], found["row"], inputs)
 
@@ -107,7 +107,7 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is certainly unchanged; for a sampled digest, its time must be unchanged too."""
+    """Return True if a file is unchanged: by its digest, and by its time as well if only samples were digested."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 

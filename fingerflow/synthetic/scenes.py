@@ -35,8 +35,9 @@ class SyntheticForces(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticScene:
-    """Synthetic recording of a finger movement. Lengths are in mm, angles in rad, times in s from the trigger, forces
-    in N. Lengths are in mm, angles in rad, times in s from the trigger, forces in N.
+    """Synthetic recording of a finger movement. Lengths are in mm, angles in rad, times in s from the trigger.
+
+    Forces are in N.
 
     A frame has the topography view on its left half and the contact view on its right half. Positions are in mm on
     the glass, 0 at the centre of the contact view's first pixel.

@@ -138,7 +138,7 @@ class _Known(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """Change to be made from an earlier frame: a reseeding, or a new key frame for the same points.
+    """Deferred change of the tracked points, computed from an earlier frame: a reseeding or a new key frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided.
     """

@@ -63,7 +63,7 @@ class PointMotion(NamedTuple):
     def see(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
     ) -> PointMotion:
-        """Return the motion after a later frame, from the points found in it.
+        """Update the predicted motion by the positions found in a later frame.
 
         Args:
             points: (N, 2) px, NaN where lost.

@@ -179,7 +179,7 @@ def _blocks(view: Array) -> tuple[Array, Array]:
 
 
 class _DoubtfulStep(NamedTuple):
-    """Deferred frame with its distance per frame from the last usable one, and the usual distance."""
+    """Frame that is not judged yet, with its grey-level distance from the last usable frame and the usual distance."""
 
     number: int
     blocks: Blocks

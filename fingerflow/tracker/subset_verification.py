@@ -90,7 +90,7 @@ class Verification:
     def _apart(
         self, images: Images, number: Array, places: Array, warp: Array, rows: Array | None = None
     ) -> Steps[Array]:
-        """Return 1 - correlation between present and key-frame subsets, of all points or those with indices `rows`."""
+        """Return 1 - correlation between the present windows and those of the key frame, of all points or of `rows`."""
         now = yield from self._sampled(images, number, places, warp)
         then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
         result: Array = 1 - correlation_of(then, Centred.of(now))

@@ -99,7 +99,7 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Measure how the flow blurs a stick region's border, on the first picture; this also prepares the flow."""
+        """Measure on the first frame how dense flow blurs the border of a stick region; this also prepares the flow."""
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
