@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, range_of, rows_in_one_piece
 from fingerflow.kernels.checks import (
+    check_axes,
     check_frames,
     checked,
     described,
@@ -61,8 +62,9 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
     """
     if not 1 <= size <= LARGEST_MAJORITY or size % 2 == 0:
         raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")
+    given = lit(frames, light, black)
     limits = checked("limits", limits, "float32", (frames.shape[0],))
-    given, mask = lit(frames, light, black), empty(frames, "bool", *frames.shape)
+    mask = empty(frames, "bool", *frames.shape)
     entry("real_contact_mask")(**given, limits=limits, size=size, real_contact_mask=mask, threads=threads())
     return mask
 
@@ -91,7 +93,8 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
-    least, given = checked("least", least, "float32", (light.shape[0],)), lit(frames, light, black)
+    given = lit(frames, light, black)
+    least = checked("least", least, "float32", (light.shape[0],))
     quotients, known = empty(frames, "float32", *frames.shape), empty(frames, "bool", *frames.shape)
     entry("normalize")(**given, least=least, quotients=quotients, known=known, threads=threads())
     return quotients, known
@@ -133,6 +136,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
     Raises:
         ValueError: wrong dtype or shape.
     """
+    check_axes("counts", counts, 2)
     batch = counts.shape[0]
     counts, thresholds = checked("counts", counts, "int64", (batch, 256)), empty(counts, "float64", batch)
     entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
