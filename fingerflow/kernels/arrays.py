@@ -131,9 +131,13 @@ def range_of(array: Shaped) -> tuple[int, int]:
 
 
 def address(array: Shaped) -> int:
-    """Return the address of the first element of an array."""
+    """Return the address of the first element of an array; raise ValueError for a tensor on another device."""
     given: Any = array
-    return address_of_numpy(given) if isinstance(given, np.ndarray) else given.data_ptr()
+    if isinstance(given, np.ndarray):
+        return address_of_numpy(given)
+    if not given.is_cpu:
+        raise ValueError(f"a tensor is on {given.device}: give tensors on the CPU")
+    return given.data_ptr()  # type: ignore[no-any-return]
 
 
 def _by_interface(array: NDArray[Any]) -> int:

@@ -329,14 +329,15 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     (N, 2, 2) are float32.
 
     Raises:
-        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1, a window above
+            WIDEST_WINDOW.
     """
     check_frames(images)
     check_axes("places", places, 2)
     count, reach = places.shape[0], window // 2
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    if window < 1 or step < 1 or min(images.shape[2:]) < 4:
+    if not 1 <= window <= WIDEST_WINDOW or step < 1 or min(images.shape[2:]) < 4:
         raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
     images = rows_in_one_piece(images)
     found = empty(images, "float32", count, (2 * reach // step + 1) ** 2)
