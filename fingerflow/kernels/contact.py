@@ -21,6 +21,7 @@ from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
+LARGEST_RADIUS = 255  # px
 CELLS = (1, 2, 4, 8)
 COUNTED_LEVELS = {"uint8": 1 << 8, "uint16": 1 << 16}
 
@@ -152,8 +153,11 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
     Raises:
         TypeError, ValueError: wrong dtype or shape, or cells that are not among these.
     """
-    if side not in CELLS or radius < 1:
-        raise ValueError(f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px")
+    if side not in CELLS or not 1 <= radius <= LARGEST_RADIUS:
+        raise ValueError(
+            f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px, and "
+            f"a radius of 1 to {LARGEST_RADIUS}"
+        )
     check_frames(mask, ("bool",))
     mask = in_one_piece(mask)
     batch, _, height, width = mask.shape

@@ -82,9 +82,9 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return the middle weight with those after it, and the number of the latter; ValueError for an even number."""
-    if len(weights) % 2 == 0:
-        raise ValueError(f"{len(weights)} weights have no middle: give an odd number")
+    """Return the middle weight with those after it, and the number of the latter; ValueError unless these mirror."""
+    if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
+        raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2
     return {"weights": np.array(weights[half:], np.float32), "half": half}
 

@@ -48,7 +48,9 @@ class Entry:
         self._in_order = operator.itemgetter(*self._names)
         self._fields = function.fields
         self._addresses = tuple(place for place, field in enumerate(function.fields) if field.code == "P")
-        whole = [k for k, field in enumerate(function.fields) if field.code in _WHOLE and field.name not in _OF_ANY_SIGN]
+        whole = [
+            k for k, field in enumerate(function.fields) if field.code in _WHOLE and field.name not in _OF_ANY_SIGN
+        ]
         # A place twice, as of one alone it would be no tuple.
         self._whole = operator.itemgetter(*whole, *whole) if whole else lambda values: (0,)
         self._pack = struct.Struct(function.format).pack
@@ -103,7 +105,9 @@ class Entry:
             said = f"kernel {self._name}: {name} is {value!r}: give "
             if code not in _WHOLE:
                 if code != "P" and not _packs(code, value):
-                    raise (ValueError if isinstance(value, int | float) else TypeError)(f"{said}a number, not too large")
+                    raise (ValueError if isinstance(value, int | float) else TypeError)(
+                        f"{said}a number, not too large"
+                    )
             elif not _packs(code, value) or (value < 0 and name not in _OF_ANY_SIGN):
                 words = f"{said}a whole number from 0 to 2^{8 * struct.calcsize(code) - 1} - 1"
                 raise (ValueError if hasattr(value, "__index__") else TypeError)(words)

@@ -329,8 +329,8 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     (N, 2, 2) are float32.
 
     Raises:
-        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1, a window above
-            WIDEST_WINDOW.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1, a window
+            above WIDEST_WINDOW.
     """
     check_frames(images)
     check_axes("places", places, 2)

@@ -104,7 +104,7 @@ def of_array(value: Any) -> Iterator[tuple[str, Any, bool]]:
     else:
         yield "other byte order", value.astype(value.dtype.newbyteorder()), False
     floating = "float" in str(value.dtype)
-    for odd in ((float("nan"), float("inf"), 3e38, -3e38) if floating else (-1, 1 << 40, -(1 << 62))):
+    for odd in (float("nan"), float("inf"), 3e38, -3e38) if floating else (-1, 1 << 40, -(1 << 62)):
         if floating or "int64" in str(value.dtype):
             yield f"all {odd:g}", like.full_like(value, odd), False
 
@@ -171,7 +171,9 @@ def at_the_end_of_memory(value: Any, filler: int) -> Any:
     memory = mmap.mmap(-1, whole + page)
     start = ctypes.addressof(ctypes.c_char.from_buffer(memory))
     ctypes.memset(start, filler, whole)
-    ctypes.CDLL(None).mprotect(ctypes.c_void_p(start + whole), page, mmap.PROT_NONE if hasattr(mmap, "PROT_NONE") else 0)
+    ctypes.CDLL(None).mprotect(
+        ctypes.c_void_p(start + whole), page, mmap.PROT_NONE if hasattr(mmap, "PROT_NONE") else 0
+    )
     placed = np.frombuffer(memory, value.dtype, value.size, whole - size).reshape(value.shape)
     placed[...] = value
     return placed
@@ -218,7 +220,7 @@ def outcome_in_this_process(call: Call, plain: Call | None) -> tuple[str, str]:
         results = [called(call, filler) for filler in (0, 0xFF)]
     except REFUSALS as error:
         return (REFUSED if str(error) else type(error).__name__), f"{type(error).__name__}: {error}"
-    except Exception as error:  # noqa: BLE001  told by its name
+    except Exception as error:
         return type(error).__name__, str(error)
     one, other = (list(tensors_of(result)) for result in results)
     if not all(_same(*pair) for pair in zip(one, other, strict=True)):

@@ -1,4 +1,4 @@
-"""Cases of the group `memory`: hostile calls of kernels, and where the compiled form once differed from the portable one."""
+"""Cases of the group `memory`: hostile calls of kernels, and where compiled and portable forms once differed."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
