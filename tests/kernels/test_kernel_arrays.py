@@ -135,11 +135,11 @@ def test_views_that_torch_negates_are_written_out() -> None:
     assert conjugate.is_neg()
     assert torch.equal(kernels.halve(conjugate), kernels.halve(frames))
     assert torch.equal(kernels.mean_response(conjugate[..., 1:]), kernels.mean_response(frames[..., 1:]))
-    frames, light, black = contact_frames(2, 130, 170, torch.float32)
+    frames, light, black = contact_frames(5, 130, 170, torch.float32)
     negated = torch.complex(frames, -frames).conj().imag
     threshold = contact_threshold(frames, light, black)
-    assert threshold.isfinite().all()
-    assert torch.equal(contact_threshold(negated, light, black), threshold)
+    assert threshold[1:4].isfinite().all()
+    torch.testing.assert_close(contact_threshold(negated, light, black), threshold, rtol=0, atol=0, equal_nan=True)
     assert not arrays.may_be_written(conjugate)
 
 
