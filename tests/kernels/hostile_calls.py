@@ -12,6 +12,7 @@ import os
 import pickle
 import resource
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any, BinaryIO, NamedTuple, NoReturn
@@ -21,13 +22,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import arrays
+from fingerflow.kernels import arrays, library
 from fingerflow.kernels import tensors as kernels
 from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import Call, in_tensors, kernel_calls, reached
 from tests.kernels.short_of_memory import calls
 
 SECONDS, BYTES = 60, 8 << 30  # that a call may take
+NO_ACCESS = 0  # PROT_NONE of sys/mman.h
 REFUSED, GIVEN, OTHER, WILD = "refused", "a result", "another result", "wild memory"
 REFUSALS = (TypeError, ValueError, MemoryError, RuntimeError)  # the last of torch: of what is sparse, of memory
 ROUNDS = ("rounds", "cycles", "sweeps", "coarsest")  # of 32 bits: asked for as many, a kernel works for long
@@ -71,8 +73,6 @@ def plain_calls() -> dict[str, Call]:
 
 def missing_entries(plain: dict[str, Call]) -> set[str]:
     """The entries of the library that no call reaches."""
-    from fingerflow.kernels import library
-
     seen = set().union(*(reached(one) for one in plain.values()))
     return set(library._library() or ()) - seen - ENTRIES_FOR_TESTS
 
@@ -204,8 +204,6 @@ def called(call: Call, filler: int) -> Any:
 
 
 def _modules() -> list[Any]:
-    import sys
-
     return [
         module
         for name, module in sys.modules.items()
