@@ -171,9 +171,7 @@ def at_the_end_of_memory(value: Any, filler: int) -> Any:
     memory = mmap.mmap(-1, whole + page)
     start = ctypes.addressof(ctypes.c_char.from_buffer(memory))
     ctypes.memset(start, filler, whole)
-    ctypes.CDLL(None).mprotect(
-        ctypes.c_void_p(start + whole), page, mmap.PROT_NONE if hasattr(mmap, "PROT_NONE") else 0
-    )
+    ctypes.CDLL(None).mprotect(ctypes.c_void_p(start + whole), page, NO_ACCESS)
     placed = np.frombuffer(memory, value.dtype, value.size, whole - size).reshape(value.shape)
     placed[...] = value
     return placed
