@@ -14,8 +14,8 @@ void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const floa
     std::vector<float> shares(static_cast<std::size_t>(given->frames.batch));
     for (std::size_t frame = 0; frame < shares.size(); ++frame) {
         const float share = limits[frame] * (std::isfinite(gains[frame]) ? gains[frame] : 1.0f);
-        // A limit of NaN becomes 0, at which no pixel is in contact; limits above 1 become 1.
-        shares[frame] = share > 0 ? (share < 1 ? share : 1.0f) : 0.0f;
+        // Limits lie within [0, 1]; below that of an unknown one there is no pixel.
+        shares[frame] = std::isnan(share) ? -INFINITY : share > 0 ? (share < 1 ? share : 1.0f) : 0.0f;
     }
     fingerflow_real_contact_mask(given, shares.data(), size, real_contact_mask, threads);
     const fingerflow_apparent_contacts regions{real_contact_mask, density_margin, numbers, given->frames.batch,

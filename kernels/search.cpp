@@ -125,29 +125,35 @@ private:
         return !is_finite(at) ? 0.0f : at < -0.5f ? -0.5f : at > 0.5f ? 0.5f : at;
     }
 
-    // Clamps a coordinate far outside the image, so that it can be converted to an integer.
-    static std::int64_t within(float place, std::int64_t count) {
-        const auto far = static_cast<float>(2 * count);
+    // Clamps the middle of a square of `side` px outside an image, where the square has the pixels of the border alone, so
+    // that it can be converted to an integer.
+    static std::int64_t within(float place, std::int64_t count, int side) {
+        const auto far = static_cast<float>(count + side);
         return static_cast<std::int64_t>(place > -far ? (place < far ? place : far) : -far);
     }
     static std::int64_t nearest(std::int64_t place, std::int64_t count) { return place < 0 ? 0 : place >= count ? count - 1 : place; }
 
-    // Copies a square around a position, less its mean; values that are not finite become 0.
+    // Copies a square around a position, less its mean; values that are not finite become 0. A square of one value becomes
+    // 0 throughout, not what rounding leaves of it.
     void cut(const float* image, const float* center, int half, int side, float* to, int stride) const {
         const std::int64_t width = search_.width, height = search_.height;
-        const std::int64_t x = within(center[0], width) - half, y = within(center[1], height) - half;
-        float total = 0;
+        const std::int64_t x = within(center[0], width, side) - half, y = within(center[1], height, side) - half;
+        float total = 0, least = INFINITY, most = -INFINITY;
         for (int r = 0; r < side; ++r) {
             const float* FINGERFLOW_RESTRICT const line = image + nearest(y + r, height) * width;
             float* FINGERFLOW_RESTRICT const row = to + r * stride;
             if (x >= 0 && x + side <= width) std::memcpy(row, line + x, static_cast<std::size_t>(side) * sizeof(float));
             else for (int c = 0; c < side; ++c) row[c] = line[nearest(x + c, width)];
-            for (int c = 0; c < side; ++c) row[c] = is_finite(row[c]) ? row[c] : 0.0f;
+            for (int c = 0; c < side; ++c) {
+                row[c] = is_finite(row[c]) ? row[c] : 0.0f;
+                least = row[c] < least ? row[c] : least;
+                most = row[c] > most ? row[c] : most;
+            }
             Floats sum[kFloats] = {};
             for (int c = 0; c < side; c += kFloats) sum[0] += load(row + c);  // zeros follow the last column
             total += folded<kFloats>(sum)[0];
         }
-        const float mean = total / static_cast<float>(side * side);
+        const float mean = least < most ? total / static_cast<float>(side * side) : least;
         for (int r = 0; r < side; ++r)
             for (int c = 0; c < side; ++c) to[r * stride + c] -= mean;
     }

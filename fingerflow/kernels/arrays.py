@@ -57,10 +57,13 @@ def zeros(like: Array, kind: str, *shape: int) -> Array:
 
 
 def in_one_piece(array: Array) -> Array:
-    """Return the array itself if it is contiguous (and, in NumPy, aligned), else a contiguous copy."""
+    """Return the array itself if it is contiguous (and, in NumPy, aligned), else a contiguous copy.
+
+    The numbers of a view that torch negates lazily, such as the imaginary part of a conjugate, are written out.
+    """
     given: Any = array
     if not isinstance(given, np.ndarray):
-        return given.contiguous()  # type: ignore[no-any-return]
+        return given.resolve_neg().contiguous()  # type: ignore[no-any-return]
     whole = given.flags.c_contiguous and given.flags.aligned
     return array if whole else cast(Array, given.copy())
 
@@ -70,7 +73,8 @@ def copied(array: Array) -> Array:
     given: Any = array
     if isinstance(given, np.ndarray):
         return cast(Array, given.copy())
-    return given.clone(memory_format=sys.modules["torch"].contiguous_format)  # type: ignore[no-any-return]
+    own = given.resolve_neg()
+    return own.clone(memory_format=sys.modules["torch"].contiguous_format)  # type: ignore[no-any-return]
 
 
 def with_axes_reversed(array: Array, kind: str) -> Array:
@@ -79,21 +83,25 @@ def with_axes_reversed(array: Array, kind: str) -> Array:
     if isinstance(given, np.ndarray):
         return cast(Array, given.T.astype(kind, order="C"))
     axes = range(given.ndim - 1, -1, -1)
-    return given.permute(*axes).to(getattr(sys.modules["torch"], kind)).contiguous()  # type: ignore[no-any-return]
+    turned = given.resolve_neg().permute(*axes)
+    return turned.to(getattr(sys.modules["torch"], kind)).contiguous()  # type: ignore[no-any-return]
 
 
 def may_be_written(array: Shaped) -> bool:
     """Return whether results can be written to the array directly: it is contiguous and, in NumPy, writable."""
     given: Any = array
-    return bool(given.flags.carray if isinstance(given, np.ndarray) else given.is_contiguous())
+    if isinstance(given, np.ndarray):
+        return bool(given.flags.carray)
+    return given.is_contiguous() and not given.is_neg()
 
 
 def rows_in_one_piece(frames: Array) -> Array:
     """Return frames (B, 1, H, W) unchanged if the pixels of each row are contiguous, else a contiguous copy."""
     given: Any = frames
     if not isinstance(given, np.ndarray):
+        given = given.resolve_neg()
         one_piece = given.stride(3) == 1 or given.shape[3] == 1
-        return frames if one_piece else given.contiguous()
+        return given if one_piece else given.contiguous()  # type: ignore[no-any-return]
     if given.flags.c_contiguous and given.flags.aligned:
         return frames
     size = given.itemsize
@@ -123,9 +131,13 @@ def range_of(array: Shaped) -> tuple[int, int]:
 
 
 def address(array: Shaped) -> int:
-    """Return the memory address of the first element of an array."""
+    """Return the address of the first element of an array; raise ValueError for a tensor on another device."""
     given: Any = array
-    return address_of_numpy(given) if isinstance(given, np.ndarray) else given.data_ptr()
+    if isinstance(given, np.ndarray):
+        return address_of_numpy(given)
+    if not given.is_cpu:
+        raise ValueError(f"a tensor is on {given.device}: give tensors on the CPU")
+    return given.data_ptr()  # type: ignore[no-any-return]
 
 
 def _by_interface(array: NDArray[Any]) -> int:

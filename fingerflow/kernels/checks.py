@@ -23,6 +23,12 @@ def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) ->
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
 
 
+def check_axes(name: str, array: Shaped, count: int) -> None:
+    """Check an array whose sizes are read: raise ValueError for another number of axes."""
+    if array.ndim != count:
+        raise ValueError(f"{name} has shape {tuple(array.shape)}: an array of {count} axes is needed")
+
+
 def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> None:
     """Raise ValueError if an array has another dtype or shape than required."""
     if KINDS[array.dtype] != of or array.shape != shape:

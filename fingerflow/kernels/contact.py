@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, range_of, rows_in_one_piece
 from fingerflow.kernels.checks import (
+    check_axes,
     check_frames,
     checked,
     described,
@@ -20,6 +21,7 @@ from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
+LARGEST_RADIUS = 255  # px
 CELLS = (1, 2, 4, 8)
 COUNTED_LEVELS = {"uint8": 1 << 8, "uint16": 1 << 16}
 
@@ -61,8 +63,9 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
     """
     if not 1 <= size <= LARGEST_MAJORITY or size % 2 == 0:
         raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")
+    given = lit(frames, light, black)
     limits = checked("limits", limits, "float32", (frames.shape[0],))
-    given, mask = lit(frames, light, black), empty(frames, "bool", *frames.shape)
+    mask = empty(frames, "bool", *frames.shape)
     entry("real_contact_mask")(**given, limits=limits, size=size, real_contact_mask=mask, threads=threads())
     return mask
 
@@ -91,7 +94,8 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
-    least, given = checked("least", least, "float32", (light.shape[0],)), lit(frames, light, black)
+    given = lit(frames, light, black)
+    least = checked("least", least, "float32", (light.shape[0],))
     quotients, known = empty(frames, "float32", *frames.shape), empty(frames, "bool", *frames.shape)
     entry("normalize")(**given, least=least, quotients=quotients, known=known, threads=threads())
     return quotients, known
@@ -133,6 +137,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
     Raises:
         ValueError: wrong dtype or shape.
     """
+    check_axes("counts", counts, 2)
     batch = counts.shape[0]
     counts, thresholds = checked("counts", counts, "int64", (batch, 256)), empty(counts, "float64", batch)
     entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
@@ -148,8 +153,11 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
     Raises:
         TypeError, ValueError: wrong dtype or shape, or cells that are not among these.
     """
-    if side not in CELLS or radius < 1:
-        raise ValueError(f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px")
+    if side not in CELLS or not 1 <= radius <= LARGEST_RADIUS:
+        raise ValueError(
+            f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px, and "
+            f"a radius of 1 to {LARGEST_RADIUS}"
+        )
     check_frames(mask, ("bool",))
     mask = in_one_piece(mask)
     batch, _, height, width = mask.shape

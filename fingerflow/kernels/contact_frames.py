@@ -6,13 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.checks import checked, lit
-from fingerflow.kernels.contact import CELLS, LARGEST_MAJORITY, table_of
+from fingerflow.kernels.contact import CELLS, LARGEST_MAJORITY, LARGEST_RADIUS, table_of
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.library import entry, threads
 
 Array = NDArray[Any]
-
-LARGEST_RADIUS = 255  # px
 
 
 class ContactOfFrames(NamedTuple):

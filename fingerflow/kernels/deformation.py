@@ -3,7 +3,7 @@
 from typing import Generic, NamedTuple
 
 from fingerflow.kernels.arrays import Array, empty
-from fingerflow.kernels.checks import checked
+from fingerflow.kernels.checks import check_axes, checked
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
@@ -51,6 +51,8 @@ def correct_points(
     Raises:
         ValueError: wrong dtype or shape.
     """
+    check_axes("start", start, 2)
+    check_axes("points", points, 3)
     frames, count = points.shape[0], start.shape[0]
     if window < 3 or not gauge_px > 0:
         raise ValueError(

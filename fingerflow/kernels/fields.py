@@ -7,7 +7,7 @@ import numpy as np
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, with_axes_reversed
-from fingerflow.kernels.checks import check_indices, check_like, checked
+from fingerflow.kernels.checks import check_axes, check_indices, check_like, checked
 from fingerflow.kernels.library import entry, threads
 
 _LATTICE = limits.lattice().astype(np.float32)
@@ -42,6 +42,9 @@ def local_gradients(
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     given = {"points": points, "values": values, "queries": queries, "noise": noise}
+    for name, tensor in given.items():
+        if tensor is not None:
+            check_axes(name, tensor, 3)
     (count, components), total, dtype = values.shape[1:], queries.shape[1], kind(points)
     batches = [tensor.shape[0] for tensor in given.values() if tensor is not None]
     batch = next((one for one in batches if one != 1), 1)
@@ -54,7 +57,7 @@ def local_gradients(
         rows = total if name == "queries" else count
         if kind(tensor) != dtype or dtype not in ("float32", "float64"):
             raise TypeError(f"{name} is {kind(tensor)}: all are float32 or float64")
-        if tensor.ndim != 3 or tensor.shape[1] != rows or tensor.shape[2] not in columns[name]:
+        if tensor.shape[1] != rows or tensor.shape[2] not in columns[name]:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}: (B, {rows}, {columns[name]}) is needed")
     value, gradient = empty(points, dtype, batch, total, components), empty(points, dtype, batch, total, components, 2)
     covariance = None if noise is None else empty(points, dtype, batch, total, components, 2, components, 2)
@@ -116,8 +119,9 @@ def area_medians(
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
-    batch, count = displacement.shape[:2]
-    references = reference.shape[0]
+    check_axes("reference", reference, 3)
+    check_axes("displacement", displacement, 3)
+    (batch, count, _), references = displacement.shape, reference.shape[0]
     check_like("reference", reference, "float32", (1 if references == 1 else batch, count, 2))
     check_like("displacement", displacement, "float32", (batch, count, 2))
     check_like("ellipses", ellipses, "float32", (batch, 6))
@@ -191,7 +195,9 @@ def triangle_strain(
     Raises:
         TypeError, ValueError: wrong dtype, inconsistent shapes, triangles of points out of range.
     """
-    (batch, points), count = displacement.shape[:2], triangles.shape[0]
+    check_axes("displacement", displacement, 3)
+    check_axes("triangles", triangles, 2)
+    (batch, points, _), count = displacement.shape, triangles.shape[0]
     check_like("triangles", triangles, "int64", (count, 3))
     check_indices("triangles", triangles, points, "points")
     check_like("slopes", slopes, "float32", (count, 3, 2))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import Array, address, empty
-from fingerflow.kernels.checks import checked
+from fingerflow.kernels.checks import check_axes, checked
 from fingerflow.kernels.library import entry, threads, values_are_known
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "level_shapes",
 ]
 
+_MOST_LEVELS = 63
 # Channels of tensor, right, down, inverse and inside, and their rows and columns relative to those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
@@ -81,7 +82,9 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return the kernel arguments of a symmetric window: weights from the middle one on, and how many follow it."""
+    """Return a symmetric window as kernels take it: weights from the middle one on; raise ValueError if asymmetric."""
+    if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
+        raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2
     return {"weights": np.array(weights[half:], np.float32), "half": half}
 
@@ -159,6 +162,8 @@ def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: 
         tensor, right, down, inside: (B, 3, H, W), (B, 1, H, W - 1), (B, 1, H - 1, W) and (B, 1, H, W).
         count: number of levels, at least 1.
     """
+    if not 1 <= count <= _MOST_LEVELS:
+        raise ValueError(f"{count} levels: give 1 to {_MOST_LEVELS}, which halve any size to 1")
     batch, _, height, width = inside.shape
     shapes = level_shapes(batch, height, width, count)
     finest, *coarser = shapes
@@ -293,6 +298,7 @@ def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
 
     The results agree to rounding.
     """
+    check_axes("known", known, 4)
     batch, cells = known.shape[0], _cells(height, width)
     [pixels] = _computed(
         "flow_to_pixels",

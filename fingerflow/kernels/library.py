@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from fingerflow.kernels.arrays import Shaped, address_of_numpy
 from fingerflow.kernels.declarations import HEADER, Function, digest, read
 
 _NO_MEMORY = 1  # of kernels/entry.h
+_WHOLE = ("i", "q")  # codes of whole numbers (`declarations`)
+_OF_ANY_SIGN = {"most", "piece"}  # whole numbers of entries for tests that may be negative
 
 _log = logging.getLogger(__name__)
 
@@ -36,14 +38,21 @@ _here = _Here()
 class Entry:
     """Callable of a function of the library; arguments have the names of interface.h, None is a null address.
 
-    Addresses are given as NumPy arrays or torch tensors, whose memory layout is not checked.
+    Addresses are given as NumPy arrays or torch tensors on the CPU, whose shape and memory layout is not checked. Whole
+    numbers are counts, sizes and choices: none is negative.
     """
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
         """Look up the function `name` in the library."""
         self._name, self._names = name, tuple(field.name for field in function.fields)
         self._in_order = operator.itemgetter(*self._names)
+        self._fields = function.fields
         self._addresses = tuple(place for place, field in enumerate(function.fields) if field.code == "P")
+        whole = [
+            k for k, field in enumerate(function.fields) if field.code in _WHOLE and field.name not in _OF_ANY_SIGN
+        ]
+        # A place twice, as of one alone it would be no tuple.
+        self._whole = operator.itemgetter(*whole, *whole) if whole else lambda values: (0,)
         self._pack = struct.Struct(function.format).pack
         self._enter: Any = library[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
@@ -53,7 +62,8 @@ class Entry:
         """Call the library function, without holding the global interpreter lock.
 
         Raises:
-            TypeError: the number of arguments is wrong.
+            TypeError: the number of arguments is wrong, or an argument is no number.
+            ValueError: a tensor is on another device, or a number is out of range.
             KeyError: an argument is missing under its name.
             MemoryError: the kernel cannot allocate its memory.
             RuntimeError: any other exception of the kernel, with its name.
@@ -67,14 +77,50 @@ class Entry:
             value = values[place]
             if value is None:
                 values[place] = 0
-            else:  # as `address` does, without the cost of its call
-                values[place] = address_of_numpy(value) if isinstance(value, np.ndarray) else value.data_ptr()
-        outcome = self._enter(self._pack(*values))
+            elif isinstance(value, np.ndarray):  # as `address` does, without the cost of its call
+                values[place] = address_of_numpy(value)
+            elif value.is_cpu:
+                values[place] = value.data_ptr()
+            else:
+                raise ValueError(
+                    f"kernel {self._name}: {self._names[place]} is on {value.device}: give tensors on the CPU"
+                )
+        try:
+            packed = self._pack(*values)
+            fit = min(self._whole(values)) >= 0
+        except (struct.error, OverflowError, TypeError):
+            fit = False
+        if not fit:
+            self._refuse(values)
+        outcome = self._enter(packed)
         if outcome:
             said = self._message().decode(errors="replace")
             if outcome == _NO_MEMORY:
                 raise MemoryError(f"kernel {self._name}: no memory ({said}); give it smaller batches or fewer threads")
             raise RuntimeError(f"kernel {self._name} failed: {said}")
+
+    def _refuse(self, values: list[Any]) -> NoReturn:
+        """Raise the error of the first number that does not fit its declaration."""
+        for (name, code), value in zip(self._fields, values, strict=True):
+            said = f"kernel {self._name}: {name} is {value!r}: give "
+            if code not in _WHOLE:
+                if code != "P" and not _packs(code, value):
+                    raise (ValueError if isinstance(value, int | float) else TypeError)(
+                        f"{said}a number, not too large"
+                    )
+            elif not _packs(code, value) or (value < 0 and name not in _OF_ANY_SIGN):
+                words = f"{said}a whole number from 0 to 2^{8 * struct.calcsize(code) - 1} - 1"
+                raise (ValueError if hasattr(value, "__index__") else TypeError)(words)
+        raise ValueError(f"kernel {self._name} cannot be called with {values}")
+
+
+def _packs(code: str, value: Any) -> bool:
+    """Return whether a value can be packed by a code of `struct`."""
+    try:
+        struct.pack(code, value)
+    except (struct.error, OverflowError, TypeError):
+        return False
+    return True
 
 
 def entry(name: str) -> Entry:

@@ -47,6 +47,7 @@ def press_skin(
         check_like(name, (given | changed)[name], "float64", shape)
     if count < 3 or not all(may_be_written(array) for array in changed.values()):
         raise ValueError(f"a chain of {count} elements: give 3 or more, and a state in one piece")
+    held_x, held_z = held
     time, counts = zeros(step, "float64", batch), zeros(step, "int64", batch, 2)
     entry("press_skin")(
         **{name: in_one_piece(tensor) for name, tensor in given.items()},
@@ -55,8 +56,8 @@ def press_skin(
         counts=counts,
         batch=batch,
         count=count,
-        held_x=held[0],
-        held_z=held[1],
+        held_x=held_x,
+        held_z=held_z,
         most_steps=most_steps,
         tolerance=tolerance,
         duration=duration,

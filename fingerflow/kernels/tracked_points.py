@@ -224,8 +224,10 @@ def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: flo
     (images, _, height, width) = frame.shape
     if images != 1 or min(height, width) < LEAST_SIDE or height * width >= 1 << 31:
         raise ValueError(f"a frame of {frame.shape}: give one of {LEAST_SIDE} x {LEAST_SIDE} px to 2^31 pixels")
-    if count < 1:
-        raise ValueError(f"{count} points: give 1 or more")
+    if count < 1 or window < 1:
+        raise ValueError(f"{count} points with windows of {window} px: give 1 or more of each")
+    if not math.isfinite(min_distance_px):
+        raise ValueError(f"points {min_distance_px} px apart: give a finite distance")
     frame, mask = rows_in_one_piece(frame), mask_of(frame, mask[None, None])
     count = min(count, height * width)
     beside = max(1, round(min_distance_px / 2))

@@ -6,6 +6,7 @@ from typing import Generic, NamedTuple
 
 from fingerflow.kernels.arrays import Array, copied, empty, in_one_piece, kind, rows_in_one_piece, zeros
 from fingerflow.kernels.checks import (
+    check_axes,
     check_frames,
     check_indices,
     check_like,
@@ -19,6 +20,7 @@ from fingerflow.kernels.tracking_limits import NUMBERS
 
 LARGEST_CORNER_WINDOW = 15
 WIDEST_SEARCH = 1 << 15  # px, so that positions in it can be counted with 32 bits
+WIDEST_WINDOW = (1 << 12) - 1  # px, so that the pixels of a few can be
 
 
 def prepare_templates(
@@ -39,6 +41,7 @@ def prepare_templates(
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(image)
+    check_axes("points", points, 3)
     batch, count = image.shape[0], points.shape[1]
     check_like("points", points, "float32", (batch, count, 2))
     check_like("variance", variance, "float32", (batch,))
@@ -101,10 +104,14 @@ def find_templates(
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
     """
     check_frames(frames)
-    (batch, count), total = place.shape[:2], frames.shape[0]
+    check_axes("place", place, 3)
+    (batch, count, _), total = place.shape, frames.shape[0]
     if total % max(batch, 1):
         raise ValueError(f"{total} frames cannot be those of {batch} recordings")
-    steps, window = total // max(batch, 1) or 1, math.isqrt(templates[1].shape[-1])
+    if len(templates) != 3:
+        raise ValueError(f"{len(templates)} arrays are no templates: give start, samples and numbers")
+    check_axes("samples", templates[1], 4)
+    steps, window = total // batch if batch else 1, math.isqrt(templates[1].shape[-1])
     shapes = {"start": (2,), "samples": (3, window * window), "numbers": (NUMBERS,)}
     kept = {}
     for (name, last), tensor in zip(shapes.items(), templates, strict=True):
@@ -184,6 +191,7 @@ def find_pairs(
     """
     check_frames(previous)
     check_like("current", current, kind(previous), tuple(previous.shape))
+    check_axes("points", points, 3)
     batch, count = previous.shape[0], points.shape[1]
     check_like("points", points, "float32", (batch, count, 2))
     check_like("place", place, "float32", (batch, count, 2))
@@ -224,8 +232,8 @@ def find_pairs(
 
 
 def _check_window(window: int, frames: Array) -> None:
-    if window < 5 or window % 2 == 0:
-        raise ValueError(f"window must be odd and at least 5 px, not {window}")
+    if not 5 <= window <= WIDEST_WINDOW or window % 2 == 0:
+        raise ValueError(f"window must be odd, at least 5 px and at most {WIDEST_WINDOW} px, not {window}")
     if min(frames.shape[2:]) < 4:
         raise ValueError(f"frames of {tuple(frames.shape[2:])} px: 4 x 4 and more are needed")
 
@@ -293,8 +301,9 @@ def search_windows(
         TypeError, ValueError: wrong dtype, inconsistent shapes, an even size, a negative reach, or a search wider than
             WIDEST_SEARCH.
     """
-    count = points.shape[0]
     check_frames(templates, ("float32",))
+    check_axes("points", points, 2)
+    count = points.shape[0]
     check_like("images", images, "float32", tuple(templates.shape))
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
@@ -327,13 +336,15 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
     (N, 2, 2) are float32.
 
     Raises:
-        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1.
+        TypeError, ValueError: wrong dtype, inconsistent shapes, smaller images, a window or a step below 1, a window
+            above WIDEST_WINDOW.
     """
     check_frames(images)
+    check_axes("places", places, 2)
     count, reach = places.shape[0], window // 2
     check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    if window < 1 or step < 1 or min(images.shape[2:]) < 4:
+    if not 1 <= window <= WIDEST_WINDOW or step < 1 or min(images.shape[2:]) < 4:
         raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
     images = rows_in_one_piece(images)
     found = empty(images, "float32", count, (2 * reach // step + 1) ** 2)
@@ -381,6 +392,8 @@ def corners(
     check_like("floors", floors, "float32", (batch,))
     if not 1 <= window <= LARGEST_CORNER_WINDOW or window % 2 == 0:
         raise ValueError(f"compiled corners have odd windows up to {LARGEST_CORNER_WINDOW}: {window} was asked for")
+    if count < 0 or border < 0:
+        raise ValueError(f"{count} corners, {border} px from the border: none of them is negative")
     if height * width >= 1 << 32:
         raise ValueError(f"a frame of {height} x {width}: compiled corners take fewer than 2^32 pixels")
     frames, floors = rows_in_one_piece(frames), in_one_piece(floors)

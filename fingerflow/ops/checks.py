@@ -10,6 +10,12 @@ def check_frames(frames: Tensor) -> None:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
 
 
+def check_pixels(frames: Tensor, least: int) -> None:
+    """Raise ValueError unless frames (B, 1, H, W) have `least` pixels or more along both axes."""
+    if min(frames.shape[-2:]) < least:
+        raise ValueError(f"frames of {tuple(frames.shape[-2:])} px: give at least {least} x {least}")
+
+
 def check_mask(mask: Tensor) -> None:
     """Raise TypeError unless a mask is bool, ValueError unless it is (B, 1, H, W)."""
     if mask.dtype != torch.bool:

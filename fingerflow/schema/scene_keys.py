@@ -264,8 +264,9 @@ SCENE: dict[str, SceneKey | SceneTable] = {
     ),
     "contact": SceneTable(
         {
-            "median_px": SceneKey(Whole(least=3, most=63, odd=True),
-                "side of the median filter; the paper has 9, which rounds the ends of ridges", default=3),
+            "median_px": SceneKey(Whole(least=3, most=15, odd=True),
+                "side of the median filter, narrower than a ridge; the paper has 9, which rounds the ends of ridges",
+                default=3),
             "threshold": SceneKey(Choice(("reference_frame", "per_frame"), NumberType(above=0, below=1)),
                 "relative intensity loss that is contact; the words: Otsu's at the largest force, or of each frame",
                 default="reference_frame"),

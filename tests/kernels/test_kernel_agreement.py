@@ -6,6 +6,7 @@ pixel, motion from none to farther than a search goes, and any setting.
 """
 
 from collections.abc import Callable
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.ops.contact.apparent_contact import apparent_contact
+from fingerflow.ops.contact.illumination_gain import illumination_gain
+from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.flow.dense_flow import dense_flow
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.ops.tracking.templates import find_templates, prepare_templates
@@ -197,3 +201,61 @@ def test_flow(instruction_set: int, portable: Portable) -> None:
             assert torch.equal(one.isfinite(), other.isfinite()), f"draw {seed}: {name}"
         off = (found.displacement - expected.displacement).nan_to_num(0.0).abs().max()
         assert off < 5e-4, f"draw {seed}: {off} px"
+
+
+@pytest.mark.parametrize("size", [(40, 50), (9, 12)])
+def test_windows_searched_outside_the_image(instruction_set: int, portable: Portable, size: tuple[int, int]) -> None:
+    """However far outside, up to numbers that no integer holds: there the border is repeated, and blank."""
+    first, second = (torch.rand(1, 1, *size, generator=torch.Generator().manual_seed(k)) * 100 for k in range(2))
+    far = [0.0, 5.0, -5.0, 20.0, -20.0, 50.0, -100.0, 300.0, -1e3, 1e5, -1e9, 2.0**33, 1e19, 1e30, -3e38]
+    places = torch.tensor([place for one in far for place in ((one, one), (one, 7.0), (7.0, one))])
+    middle = torch.tensor([size[1] / 2, size[0] / 2]).expand_as(places)
+    index = torch.zeros(len(places), dtype=torch.int64)
+    for (window, radius), (points, guess) in product(
+        ((5, 1), (9, 6), (21, 24), (21, 100), (9, 200)), ((places, middle), (middle, places), (places, places))
+    ):
+
+        def call() -> Any:
+            return search_windows(first, second, index, points, guess, window, radius)  # noqa: B023
+
+        torch.testing.assert_close(call(), portable(call), rtol=1e-5, atol=2e-2)
+
+
+@pytest.mark.parametrize("radius", [1, 8, 12])
+def test_illumination_gain_of_small_images(instruction_set: int, portable: Portable, radius: int) -> None:
+    known = 0
+    for height, width in product(range(34), (0, 15, 16, 17, 40)):
+        light = torch.full((1, 1, height, width), 105.0)
+        frames = 100 + 4 * torch.rand(2, 1, height, width, generator=torch.Generator().manual_seed(height))
+
+        def call() -> Any:
+            return illumination_gain(frames, light, 0 * light, radius)  # noqa: B023
+
+        found = call()
+        torch.testing.assert_close(found, portable(call), rtol=1e-5, atol=0.0, equal_nan=True)
+        known += int(found.isfinite().all())
+    assert known > 10
+
+
+def test_cells_wider_than_a_byte_counts() -> None:
+    """The pixels of a column of a cell are added; of a mask that is full all count."""
+    mask = torch.ones(1, 1, 600, 300, dtype=torch.bool)
+    for cell in (255, 256, 400, 511):
+        assert float(apparent_contact(mask, 255, cell).covered_px) == pytest.approx(600 * 300, rel=1e-6)
+
+
+def test_gradients_where_a_covariance_is_not_known(portable: Portable) -> None:
+    """Such a point takes no part in a fit, and has none, in either form."""
+    random = torch.Generator().manual_seed(0)
+    reference, displacement = 10 * torch.rand(1, 40, 2, generator=random), torch.rand(3, 40, 2, generator=random)
+    covariance = torch.eye(2).repeat(3, 40, 1, 1) / 100
+    covariance[0, 3], covariance[1, 4, 0, 0], covariance[2, 5, 1, 1] = torch.nan, -1.0, torch.inf
+
+    def call() -> Any:
+        return point_gradients(reference, displacement, 8.0, covariance)
+
+    for found, expected in zip(call(), portable(call), strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4, equal_nan=True)
+        for frame, point in ((0, 3), (1, 4), (2, 5)):
+            assert found[frame, point].isnan().all()
+        assert found.isfinite().float().mean() > 0.9

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from fingerflow.kernels import arrays, contact, fields, flow, library, skin, tracking
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.contact.contact_threshold import contact_threshold
+from tests.kernels.contact_frames import contact_frames
 from tests.kernels.short_of_memory import calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -120,7 +122,25 @@ def test_numbers_that_lie_between_addresses() -> None:
 def test_no_points_and_no_frames() -> None:
     none = np.zeros((2, 0, 2), np.float32)
     assert followed(FRAME, none, ONES).points.shape == (1, 2, 0, 2)
+    templates = tracking.prepare_templates(FRAME, POINTS, None, ONES, 11, True, 0.0)
+    found = tracking.find_templates(templates, FRAME[:0], POINTS, None, None, 2, 0.0, 1.0, 0.5)
+    assert found.points.shape == (0, 2, 2, 2)
+    assert np.array_equal(found.place, POINTS, equal_nan=True)
     assert tracking.halve(FRAME[:0]).shape == (0, 1, 20, 30)
+
+
+def test_views_that_torch_negates_are_written_out() -> None:
+    frames = torch.from_numpy(FRAME).float()
+    conjugate = torch.complex(frames, -frames).conj().imag
+    assert conjugate.is_neg()
+    assert torch.equal(kernels.halve(conjugate), kernels.halve(frames))
+    assert torch.equal(kernels.mean_response(conjugate[..., 1:]), kernels.mean_response(frames[..., 1:]))
+    frames, light, black = contact_frames(5, 130, 170, torch.float32)
+    negated = torch.complex(frames, -frames).conj().imag
+    threshold = contact_threshold(frames, light, black)
+    assert threshold[1:4].isfinite().all()
+    torch.testing.assert_close(contact_threshold(negated, light, black), threshold, rtol=0, atol=0, equal_nan=True)
+    assert not arrays.may_be_written(conjugate)
 
 
 def test_other_dtypes_are_refused() -> None:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.flow.dense_flow import Flow, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_cells import to_pixels
 from fingerflow.ops.flow.flow_constancy import Constancy
@@ -110,3 +111,10 @@ def test_preparation(instruction_set: int, portable: Portable, height: int, widt
     largest = float(expected_spread.nan_to_num().abs().max())
     torch.testing.assert_close(spread, expected_spread, rtol=0, atol=1e-4 * largest, equal_nan=True)
     torch.testing.assert_close(pixels, expected_pixels, rtol=0, atol=5e-6)
+
+
+@pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+@pytest.mark.parametrize("weights", [[], [0.5, 0.5], [0.2, 0.5, 0.3]])
+def test_weights_without_a_middle_are_refused(weights: list[float]) -> None:
+    with pytest.raises(ValueError, match="give an odd number"):
+        kernels.flow_integrate(torch.ones(1, 1, 8, 8), weights)

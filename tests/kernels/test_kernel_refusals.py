@@ -142,6 +142,18 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("detect_points", {"mask": narrower}, "a mask of"),
     ("detect_points", {"mask": as_bytes}, "uint8"),
     ("detect_points", {"count": 0}, "0 points"),
+    ("detect_points", {"window": -1}, "windows of -1 px"),
+    ("detect_points", {"min_distance_px": np.inf}, "inf px apart"),
+    ("corners", {"border": -1}, "-1 px from the border"),
+    ("find_templates", {"templates": lambda one: one[:2]}, "2 arrays are no templates"),
+    ("find_pairs", {"window": 4097}, "not 4097"),
+    ("flow_levels", {"count": 0}, "0 levels"),
+    ("apparent_contact", {"radius": 256}, "radius of 256"),
+    ("median", {"frames": lambda one: one.to("meta")}, "data is on meta: give tensors on the CPU"),
+    ("local_gradients", {"minimum_points": -1}, "minimum_points is -1: give a whole number from 0"),
+    ("local_gradients", {"minimum_points": 1.5}, "minimum_points is 1.5: give a whole number"),
+    ("find_templates", {"rounds": 1 << 40}, r"rounds is 1099511627776: give a whole number from 0 to 2\^31 - 1"),
+    ("otsu_threshold", {"low": "1"}, "low is '1': give a number"),
 ]
 
 

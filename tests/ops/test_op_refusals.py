@@ -17,7 +17,9 @@ from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.ops.fields.strain_uncertainty import field_std
+from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.morphology import dilate, erode
+from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.quantile import frame_quantile
 from fingerflow.ops.markers.markers import MarkerLook, detect_markers, measure_markers
 from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
@@ -82,6 +84,10 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (real_contact_mask, {"limit": torch.zeros(3)}, "one number a frame"),
     (measure_markers, {"frame": IMAGE[0]}, "give one picture"),
     (detect_markers, {"frames": IMAGE[0], "look": MarkerLook(2.0, 1, 1.0)}, r"give \(B, 1, H, W\)"),
+    (light_change, {"frames": FRAMES, "rest": FRAMES, "hidden": FRAMES > 0, "cell": 4, "scale": 4.0}, "rest"),
+    (light_change, {"frames": IMAGE, "rest": IMAGE[0, 0], "hidden": MASK, "cell": 4, "scale": 4.0}, "rest"),
+    (estimate_noise, {"images": IMAGE[..., :2]}, r"frames of \(9, 2\) px"),
+    (halved_image, {"images": IMAGE[..., :2, :]}, r"frames of \(2, 9\) px"),
     (light_change, {"frames": IMAGE, "rest": IMAGE, "hidden": MASK[..., 1:], "cell": 4, "scale": 4.0}, "hidden"),
     (stretch_contrast, {"frames": IMAGE[0, 0]}, r"\(9, 9\)"),
     (unsharp_mask, {"frames": IMAGE, "sigma": 0}, "sigma is 0"),

@@ -180,7 +180,7 @@ WRONG = (
     _number("window_px", "25", "tracking.window_px is 257: it should be less than or equal to 255", "257"),
     _number("window_px", "25", "tracking.window_px is 24: 24 is even; the middle pixel needs an odd side", "24"),
     _number("median_px", "3", "contact.median_px is 4: 4 is even; the middle pixel needs an odd side, such as 5", "4"),
-    _number("median_px", "3", "contact.median_px is 65: it should be less than or equal to 63", "65"),
+    _number("median_px", "3", "contact.median_px is 17: it should be less than or equal to 15", "17"),
     _number("gross_radius_px", "8", "contact.gross_radius_px is 0: it should be greater than or equal to 1", "0"),
     _number("gross_radius_px", "8", "contact.gross_radius_px is 256: it should be less than or equal to 255", "256"),
     _number("min_distance_px", "6.0", "tracking.min_distance_px is 0: it should be greater than 0", "0"),

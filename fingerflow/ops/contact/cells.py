@@ -16,8 +16,8 @@ def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32)
     """Compute the means (B, 1, h, w) over cells of `cell` x `cell` px of an image (B, 1, H, W), padded with zeros."""
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
-    # The lines of a mask are added as bytes: a sum of floats takes five times as long.
-    values = bytes_of(image) if image.dtype == torch.bool else image.to(precision)
+    # The lines of a mask are added as bytes, which hold 255: a sum of floats takes five times as long.
+    values = bytes_of(image) if image.dtype == torch.bool and cell <= 255 else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
     lines = values.unflatten(2, (-1, cell))

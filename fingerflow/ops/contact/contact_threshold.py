@@ -111,7 +111,7 @@ def compiled_threshold(
     frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
 ) -> Tensor:
     """Compute `contact_threshold` in one call of the compiled library."""
-    arrays = (None if one is None else one.detach().numpy() for one in (frames, light, black, gain))
+    arrays = (None if one is None else one.detach().resolve_neg().numpy() for one in (frames, light, black, gain))
     sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
     return torch.from_numpy(contact_frames.contact_threshold(*arrays, **sizes))  # type: ignore[arg-type]
 

@@ -45,9 +45,9 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
         and kernels.serve(frames, light, black)
     ):
         return kernels.illumination_gain(frames, light, black, block)
-    if min(frames.shape[2:]) < block:
-        return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
     some, given, dark = (image[..., _STEP // 2 :: _STEP, :] for image in (frames, light, black))
+    if some.shape[2] < block // _STEP or some.shape[3] < block:
+        return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
     if frames.is_floating_point():
         finite = some.abs() < torch.inf
         some, given = torch.where(finite, some, 0.0), torch.where(finite, given, 0.0)

@@ -27,7 +27,8 @@ def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale:
     Returns:
         float32; NaN where less than a tenth of the surface is visible.
     """
-    if frames.ndim != 4 or rest.shape[-2:] != frames.shape[-2:] or hidden.shape != frames.shape:
+    one = (1, *frames.shape[1:])
+    if frames.ndim != 4 or one[:2] != (1, 1) or rest.shape != one or hidden.shape != frames.shape:
         raise ValueError(
             f"frames {tuple(frames.shape)}, rest {tuple(rest.shape)} and hidden {tuple(hidden.shape)}: "
             "give (B, 1, H, W), (1, 1, H, W) and (B, 1, H, W)"

@@ -22,7 +22,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts.
         light, black: (1 or B, 1, H, W) floating, of `ops.filters.illumination.glass_light`: counts due to the lamp (0
             where the glass is not lit) and counts without light.
-        limit: (B,) share of the light, clamped to 0 to 1. NaN counts as 0: only pixels darker than `black` lie below.
+        limit: (B,) share of the light, clamped to 0 to 1. With NaN no pixel lies below.
         median_px: odd side of the windows; 1 for no filter. Beyond the frame the nearest pixel counts.
 
     Returns:
@@ -39,7 +39,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
     if limit.shape != frames.shape[:1]:
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
     # At most the full light, so that a saturated pixel is never in contact.
-    share = torch.where(limit == limit, limit, 0.0).to(light.dtype).clamp(0, 1)
+    share = torch.where(limit == limit, limit.clamp(0, 1), -torch.inf).to(light.dtype)
     if (
         frames.dtype in kernels.FRAME_KINDS
         and light.dtype == black.dtype == torch.float32

@@ -17,13 +17,18 @@ def point_gradients(
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
-    `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled kernels fit differences of
+    `LocalFit`. They are NaN also where a point's own displacement, or its covariance, is not
+    known. Compiled kernels fit differences of
     positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
     """
     if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
         across, down = displacement.unbind(-1)  # torch is slow over an axis of two
-        own = torch.where(finite(across + down), 0.0, torch.nan).to(displacement.dtype)[..., None, None]
+        known = finite(across + down)
+        if covariance is not None:
+            xx, xy, yy = covariance.flatten(2)[..., (0, 1, 3)].unbind(-1)
+            known = known & finite(xx + xy + yy) & (xx >= 0) & (yy >= 0)
+        own = torch.where(known, 0.0, torch.nan).to(displacement.dtype)[..., None, None]
         return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
     radius = gauge_length / 2
     if not looks(reference, displacement, covariance):

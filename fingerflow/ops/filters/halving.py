@@ -3,6 +3,7 @@
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.checks import check_pixels
 
 
 def halved_image(images: Tensor) -> Tensor:
@@ -12,7 +13,11 @@ def halved_image(images: Tensor) -> Tensor:
 
     Returns:
         (B, 1, H // 2, W // 2), without the last row or column of odd sizes; float64 for float64 images, else float32.
+
+    Raises:
+        ValueError: smaller images.
     """
+    check_pixels(images, 3)
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return kernels.halve(images)
     height, width = images.shape[-2] // 2 * 2, images.shape[-1] // 2 * 2

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import ROUNDING
+from fingerflow.ops.checks import check_pixels
 
 
 def rounding_variance(images: Tensor) -> float:
@@ -28,7 +29,11 @@ def estimate_noise(images: Tensor) -> Tensor:
 
     Returns:
         (B,) floating, from the responses without non-finite pixels; NaN where there is none.
+
+    Raises:
+        ValueError: smaller images.
     """
+    check_pixels(images, 3)
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)

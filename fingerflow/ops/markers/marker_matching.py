@@ -100,4 +100,8 @@ def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor
     margin = belief[:, -1] - belief.amin(1)
     taken = torch.full((len(found),), -torch.inf, dtype=margin.dtype, device=margin.device)
     taken = taken.scatter_reduce(0, number[seen], margin[seen], "amax")
-    return torch.where(seen & (margin >= taken[number]), number, nobody)
+    claims = seen & (margin >= taken[number])
+    # Of two with equal margins, the first.
+    order = torch.arange(count, device=number.device)
+    first = torch.full_like(taken, count, dtype=torch.int64).scatter_reduce(0, number[claims], order[claims], "amin")
+    return torch.where(claims & (order == first[number]), number, nobody)

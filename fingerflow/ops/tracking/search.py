@@ -11,6 +11,7 @@ from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 
 _CHUNK = 128  # points per pass, which bounds the memory of the transforms
+_FAR = 2.0**30  # px: outside every image, and an integer
 
 
 def search_windows(
@@ -94,9 +95,10 @@ def _search_coarse(
     # Pixel i of the half-resolution image is centred at 2 i + 1/2 in the full image.
     start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
     center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
+    cut_at, searched_at = (place.clamp(-_FAR, _FAR).long() - half for place in (start, center))
     # float64: transforms round relative to the whole patch, and a window may have a thousandth of its contrast.
-    template = cut_windows(templates, image_index, start.long() - half, size).double().nan_to_num(0.0, 0.0, 0.0)
-    patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1)
+    template = cut_windows(templates, image_index, cut_at, size).double().nan_to_num(0.0, 0.0, 0.0)
+    patch = cut_windows(images, image_index, searched_at - reach, size + span - 1)
     patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
     template = template - template.mean((-1, -2), keepdim=True)
     patch = patch - patch.mean((-1, -2), keepdim=True)

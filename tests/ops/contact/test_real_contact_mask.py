@@ -56,6 +56,17 @@ def test_a_limit_between_whole_numbers_and_on_one() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
+def test_without_a_limit_nothing_counts(dtype: torch.dtype) -> None:
+    """Not even a lit pixel that is darker than the dark frame, which a limit of 0 would count."""
+    light, black = torch.full((1, 1, 20, 70), 90.0), torch.full((1, 1, 20, 70), 12.0)
+    light[..., :5] = 0
+    frames = torch.full((2, 1, 20, 70), 8).to(dtype)
+    counted = real_contact_mask(frames, light, black, torch.tensor([torch.nan, 0.0]), 3)
+    assert not counted[0].any()
+    assert torch.equal(counted[1], light[0] > 0)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
 @pytest.mark.parametrize("limit", [torch.nan, -0.1, 0.0])
 def test_below_nothing_lies_nothing(limit: float, dtype: torch.dtype) -> None:
     light = torch.full((1, 1, 20, 30), 90.0)

@@ -131,6 +131,13 @@ def test_a_hidden_marker_is_not_taken_for_its_neighbour() -> None:
     assert (match_markers(reference, ties, reference, reference[:0]) == -1).all()
 
 
+@pytest.mark.parametrize("spacing", [20.0, 100.0])
+def test_a_detection_half_way_between_two_markers_is_of_one(spacing: float) -> None:
+    reference = torch.tensor([[0.0, 0.0], [spacing, 0.0]])
+    number = match_markers(reference, tie_neighbours(reference), reference, reference.mean(0, keepdim=True))
+    assert number.tolist() == [0, -1]
+
+
 def test_change_of_light_is_seen_beside_markers_that_move() -> None:
     """A bump of 10 % under markers that have moved by 4 px, to 1 %; elsewhere under 1 %, whatever the exposure."""
     places = lattice()
