@@ -30,7 +30,7 @@ class Mistake(NamedTuple):
 
     Attributes:
         arrays: arrays in place of the files, from the frames of the press.
-        forces: False for a trial without forces.
+        forces: factor on the forces in the file; None for a trial without forces.
     """
 
     case: str
@@ -38,7 +38,7 @@ class Mistake(NamedTuple):
     variable: str
     cause: str
     arrays: Callable[[Frames], dict[str, Frames]] = lambda _: {}
-    forces: bool = True
+    forces: float | None = 1.0
 
 
 UNITS, SCALE, TRANSFORM = '# units = "N"  ', "mm_per_px = 0.0325", "topography_to_contact = ["
@@ -48,21 +48,24 @@ MISTAKES = (
     Mistake("first_frame 285, contact is steady", {"# first_frame = 0": "first_frame = 285"}, "median_divergence",
         "the frames that count: they begin in contact"),
     Mistake("recording begins in contact, no forces", {"trigger_frame = 12": "trigger_frame = 0"}, "median_divergence",
-        "the recording begins in contact", lambda frames: {"frames": frames[60:]}, forces=False),
+        "the recording begins in contact", lambda frames: {"frames": frames[60:]}, forces=None),
     Mistake("transform inverted", {TRANSFORM: "inverse"}, "onset_frame", "calibration.topography_to_contact puts"),
     Mistake("transform left out", {TRANSFORM: "identity"}, "onset_frame", "calibration.topography_to_contact puts"),
     Mistake("background shows the finger", {}, "gross_contact_area", "background.frames is darker than frame 0",
         lambda frames: {"empty": frames[-1]}),
+    Mistake("background shows a light touch", {}, "gross_contact_area", "background.frames is darker than frame 0",
+        lambda frames: {"empty": frames[60]}),
     Mistake(f"{LOST} frames are missing", {}, "gross_contact_area", "frames may be missing there",
         lambda frames: {"frames": np.delete(frames, np.s_[100 : 100 + LOST], axis=0)}),
     Mistake(f"{LOST} frames are missing, no forces", {}, "gross_contact_area", "frames may be missing there",
-        lambda frames: {"frames": np.delete(frames, np.s_[100 : 100 + LOST], axis=0)}, forces=False),
+        lambda frames: {"frames": np.delete(frames, np.s_[100 : 100 + LOST], axis=0)}, forces=None),
     Mistake(f"trigger {LOST} frames late", {"trigger_frame = 12": f"trigger_frame = {12 + LOST}"}, "normal_force",
         "Check recording.trigger_frame"),
     Mistake(f"trigger {LOST} frames early", {"trigger_frame = 12": "trigger_frame = 0",}, "normal_force",
         "Check recording.trigger_frame", lambda frames: {"frames": np.concatenate([frames[:1]] * 15 + [frames])}),
-    Mistake("mN taken for N", {"[forces]": "[forces]\ngain = 1000"}, "normal_force", "is a mean pressure of"),
-    Mistake("g taken for N", {"[forces]": "[forces]\ngain = 101.97"}, "normal_force", "is a mean pressure of"),
+    Mistake("mN taken for N", {}, "normal_force", "is a mean pressure of", forces=1000.0),
+    Mistake("g taken for N", {}, "normal_force", "is a mean pressure of", forces=101.97),
+    Mistake("gain of 10 left out", {}, "normal_force", "is a mean pressure of", forces=10.0),
     Mistake("N taken for mN", {UNITS: 'units = "mN"'}, "normal_force", "is a mean pressure of"),
     Mistake("gain 2.5 of a force in N", {"[forces]": "[forces]\ngain = 2.5"}, "normal_force", "is in N already"),
     Mistake("scale halved", {SCALE: "mm_per_px = 0.01625"}, "gross_contact_area", "the scale is wrong"),
@@ -70,7 +73,7 @@ MISTAKES = (
     Mistake("Young's modulus 1000", {"young_modulus_mpa = 1.0": "young_modulus_mpa = 1000.0"}, "strain_energy",
         "fields.young_modulus_mpa = 1000"),
     Mistake("frame rate 2000 for 300", {"frame_rate = 300.0": "frame_rate = 2000.0"}, "median_divergence_rate",
-        "recording.frame_rate"),
+        "Check recording.frame_rate"),
     Mistake("frame rate 66.7 for 300", {"frame_rate = 300.0": "frame_rate = 66.7"}, "median_divergence_rate",
         "recording.frame_rate"),
 )  # fmt: skip
@@ -96,8 +99,10 @@ def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset
         replaced = dict(mistake.replaced)
         if TRANSFORM in replaced:
             replaced = _transform(press, replaced[TRANSFORM])
-        arrays = mistake.arrays(frames)
-        scene = scene_beside(press, Path(folder), replaced, forces=mistake.forces, **arrays)
+        if mistake.forces not in (1.0, None):
+            replaced |= _scaled(press / "forces.csv", Path(folder) / "forces.csv", mistake.forces)
+        given = mistake.forces is not None
+        scene = scene_beside(press, Path(folder), replaced, forces=given, **mistake.arrays(frames))
         try:
             result = process(scene)
         except FingerflowError as error:
@@ -105,6 +110,15 @@ def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset
         said = [one for one in warnings_of(result).splitlines() if mistake.cause in one]
         verdict = "warned" if said else "wrong in silence"
         return Case(mistake.case, _peak(result, mistake.variable), truth, (said or ["nothing"])[0][:90], verdict)
+
+
+def _scaled(forces: Path, to: Path, factor: float) -> dict[str, str]:
+    """Write forces times a factor under the same heading; return the text that names their file instead."""
+    heading, *lines = forces.read_text().splitlines()
+    factors = [factor if "force" in name else 1.0 for name in heading.split(",")]
+    values = np.loadtxt(lines, delimiter=",") * factors
+    np.savetxt(to, values, fmt="%.6g", delimiter=",", header=heading, comments="")
+    return {forces.as_posix(): to.as_posix()}
 
 
 def _transform(press: Path, kind: str) -> dict[str, str]:
@@ -126,6 +140,9 @@ KNOWN = (
     "lie outside the time span of the forces",
     "is never below 1.99 N",
     "points were found: the region of",
+    "a colour video",
+    "mjpeg is a lossy codec",
+    "the markers are 1.8 mm apart",
 )
 
 

@@ -134,6 +134,7 @@ class ContactStage(Stage):
         if normal is not None:
             self.warnings.extend(plausibility.of_pressure(normal, gross))
             self.warnings.extend(plausibility.of_onset(normal, gross, first_frame))
+            self.warnings.extend(plausibility.of_growth(normal, gross))
         for name, values in self.series.items():
             self.results.put(name, values)
 

@@ -16,6 +16,7 @@ _FORCE_OF_NOTHING = (0.05, 0.01)  # N and share of the peak: largest force of a 
 _NOISE = 0.005  # N, of a force at the frame rate
 _AREA_BY_FORCE = 1 / 3  # gross area grows as the force to this power, or a higher one up to Hertz's 2/3
 _SAFE = 1.5  # factor on the area by that law
+_RISES, _FOLLOWS = 1.1, 0.05  # rise of the force over the last tenth; d ln(area) / d ln(force), 0.1 to 2/3 for skin
 _STARTS, _GROWS = 0.02, 1.1  # share of the largest area that is a contact; growth that makes a press
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4  # step of the area over those of so many frames on either side; its share
 _BRIGHTER_SHARE = 0.005  # of the lit view, in which no background is darker than a frame
@@ -131,12 +132,30 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
         ]
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
     light = known & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
-    frame = int(np.argmax(np.where(light, area, 0)))
-    if peak < 10 * noise or area[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
+    unloaded = np.where(light, area, 0.0)
+    frame = int(np.argmax(unloaded))
+    if peak < 10 * noise or unloaded[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
         return []
     return [
         f"the contact has {area[frame]:.2g} of its {largest:.2g} mm2 in frame {frame + first_frame}, where the normal "
         f"force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
+    ]
+
+
+def of_growth(normal: Series, gross: Series) -> list[str]:
+    """Return a warning for a contact that has stopped growing at the end while the force rises, N and mm^2 (frames,)."""
+    known = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
+    last = known[-(len(known) // 10) :]
+    if len(last) < _BESIDE:
+        return []
+    parts = np.array_split(last, 3)
+    (force, more), (area, larger) = ([float(one[part].mean()) for part in parts[::2]] for one in (normal, gross))
+    if force <= _NOISE or area <= 0 or more < _RISES * force or larger > area * (more / force) ** _FOLLOWS:
+        return []
+    return [
+        f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
+        f"({larger:.3g} mm2): the force is of an earlier moment, or the contact fills the view. Check "
+        f"recording.frame_rate and trigger_frame, and [views.contact]"
     ]
 
 
