@@ -52,8 +52,8 @@ def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[s
             )
         if units[name] == "N" and sensor.gain and not 1 / _CORRECTION <= abs(sensor.gain) <= _CORRECTION:
             warnings.append(
-                f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in N already, and [forces] "
-                f"gain = {sensor.gain:g} multiplies it: leave gain out, or give the unit of the readings, units = \"V\""
+                f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in N already, and "
+                f'[forces] gain = {sensor.gain:g} multiplies it: leave gain out, or give units = "V"'
             )
         factor = sensor.sign * (1.0 if sensor.gain is None else sensor.gain)
         readings = forces.channels[name]

@@ -218,8 +218,10 @@ class FileRecording(Recording):
         """
         stated = self.frame_rate
         if stated is not None and stated > _PLAYBACK_HZ and abs(frame_rate / stated - 1) > _SAME_RATE:
-            self.warnings += (f"the file states {stated:g} Hz, and frame_rate = {frame_rate:g} is taken: all times and "
-                "rates follow from it. Leave it out unless the file is wrong",)
+            self.warnings += (
+                f"the file states {stated:g} Hz, and frame_rate = {frame_rate:g} is taken: all times and "
+                "rates follow from it. Leave it out unless the file is wrong",
+            )
         self.frame_rate = frame_rate
         self.times = np.asarray((self._first_number + np.arange(self._count)) / frame_rate)
 

@@ -187,7 +187,9 @@ class ContactStage(Stage):
         size = light.shape[1] // _STEP, light.shape[0] // _STEP
         seen, given = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (frames[0] - dark, light))
         lit = given > _LEAST_LIGHT * given.max()
-        return float((seen[lit] > _BRIGHTER * given[lit] * (gain if np.isfinite(gain) else 1)).sum() / max(lit.sum(), 1))
+        return float(
+            (seen[lit] > _BRIGHTER * given[lit] * (gain if np.isfinite(gain) else 1)).sum() / max(lit.sum(), 1)
+        )
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
         images = self._engine.images(self._view.crop(frames))

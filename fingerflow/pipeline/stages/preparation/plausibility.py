@@ -84,8 +84,8 @@ def of_force(normal: Series) -> list[str]:
     if peak <= _MOST_FORCE:
         return []
     return [
-        f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in mN or "
-        f"g? Give [forces] units, or check gain"
+        f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in mN "
+        f"or g? Give [forces] units, or check gain"
     ]
 
 
@@ -143,7 +143,7 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
 
 
 def of_growth(normal: Series, gross: Series) -> list[str]:
-    """Return a warning for a contact that has stopped growing at the end while the force rises, N and mm^2 (frames,)."""
+    """Return a warning for a contact that stops growing at the end while the force rises, N and mm^2 (frames,)."""
     known = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
     last = known[-(len(known) // 10) :]
     if len(last) < _BESIDE:

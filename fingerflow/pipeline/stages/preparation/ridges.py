@@ -39,9 +39,9 @@ def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: ND
         return None
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     scale = min(1.0, _SIDE_PX / max(len(rows), len(columns)))
-    share = (contact[box] / np.maximum(light[box], 1)).clip(0, 1.5).astype(np.float32)
+    share = (contact[box] / np.where(light[box] > 0, light[box], np.inf)).clip(0, 1.5).astype(np.float32)
     within = _reduced(inside[box].astype(np.float32), scale) > 0.5
-    return Skin(_flat(_reduced(cv2.medianBlur(share, 3), scale), within), within, box, scale)
+    return Skin(_flat(_reduced(np.asarray(cv2.medianBlur(share, 3), np.float32), scale), within), within, box, scale)
 
 
 def period_px(skin: Skin) -> float:
@@ -71,8 +71,8 @@ def offset_px(skin: Skin, topography: NDArray[np.number], topography_to_contact:
     rows, columns = skin.box
     matrix = topography_to_contact - [[0, 0, columns.start], [0, 0, rows.start]]
     size = columns.stop - columns.start, rows.stop - rows.start
-    picture = _reduced(cv2.warpAffine(topography.astype(np.float32), matrix, size), skin.scale)
-    other = _flat(picture, np.ones_like(skin.inside))
+    picture = np.asarray(cv2.warpAffine(topography.astype(np.float32), matrix, size), np.float32)
+    other = _flat(_reduced(picture, skin.scale), np.ones_like(skin.inside))
     other /= np.sqrt(_mean(other * other)) + np.float32(1e-6)
     product = np.conj(np.fft.rfft2(skin.ridges)) * np.fft.rfft2(other)
     reach = min(_REACH_PX, *(side // 4 for side in other.shape))
@@ -80,14 +80,14 @@ def offset_px(skin: Skin, topography: NDArray[np.number], topography_to_contact:
     found = np.abs(found) / max(np.linalg.norm(skin.ridges) * np.linalg.norm(other[skin.inside]), 1e-30)
     down, across = np.unravel_index(np.argmax(found), found.shape)
     best = found[down, across]
-    if best < _LEAST_CORRELATION or found[reach, reach] > _WEAKER * best:
+    if not best >= _LEAST_CORRELATION or found[reach, reach] > _WEAKER * best:
         return 0.0
     return float(np.hypot(down - reach, across - reach)) / skin.scale
 
 
 def _reduced(picture: Picture, scale: float) -> Picture:
     """Return a picture at another scale, at most 1, by means over pixels."""
-    return cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
@@ -100,4 +100,4 @@ def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
 
 def _mean(picture: Picture) -> Picture:
     """Return local means of a picture."""
-    return cv2.blur(picture, (_MEAN_PX, _MEAN_PX))
+    return np.asarray(cv2.blur(picture, (_MEAN_PX, _MEAN_PX)), np.float32)
