@@ -15,7 +15,7 @@ PRESS = Press(frame_shape=(384, 960), semi_axes=(4.5, 3.8))
 SKINS = [RidgeTexture(), *(FingerprintTexture(pattern=pattern) for pattern in ("loop", "whorl", "arch"))]
 
 
-def _patch(press: Press) -> tuple[ridges.Skin, np.ndarray, np.ndarray]:
+def _patch(press: Press) -> tuple[ridges.SkinPatch, np.ndarray, np.ndarray]:
     """Return the skin in contact at the end, the topography view and the transform."""
     frame, empty = press.render(299), press.empty().astype(np.float32)
     topography, contact = press.views["topography"], press.views["contact"]

@@ -171,7 +171,7 @@ class ContactStage(Stage):
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
-    def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.Skin | None:
+    def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
         """Return the skin that touches in the reference frame."""
         frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
         dark = np.float32(0) if black is None else black

@@ -17,7 +17,7 @@ _WEAKER = 0.75  # correlation without an offset over the best one, below which t
 Picture = NDArray[np.float32]
 
 
-class Skin(NamedTuple):
+class SkinPatch(NamedTuple):
     """Patch of skin in contact: `ridges` (h, w), flat and 0 outside the contact, at `scale` patch px per px.
 
     `inside` (h, w) bool is the contact, `box` its rows and columns in the view.
@@ -29,7 +29,7 @@ class Skin(NamedTuple):
     scale: float
 
 
-def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> Skin | None:
+def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
     """Return the skin that touches in a contact view (h, w), lit by `light`, in a region `inside`; None if it is small.
 
     Single pixels, hot or dead, are removed by a median.
@@ -41,10 +41,12 @@ def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: ND
     scale = min(1.0, _SIDE_PX / max(len(rows), len(columns)))
     share = (contact[box] / np.where(light[box] > 0, light[box], np.inf)).clip(0, 1.5).astype(np.float32)
     within = _reduced(inside[box].astype(np.float32), scale) > 0.5
-    return Skin(_flat(_reduced(np.asarray(cv2.medianBlur(share, 3), np.float32), scale), within), within, box, scale)
+    return SkinPatch(
+        _flat(_reduced(np.asarray(cv2.medianBlur(share, 3), np.float32), scale), within), within, box, scale
+    )
 
 
-def period_px(skin: Skin) -> float:
+def period_px(skin: SkinPatch) -> float:
     """Return the ridge period in px of the view, or NaN if ridges are not distinct.
 
     It is the centre of the strongest band of the power spectrum, summed over rings of equal frequency.
@@ -62,7 +64,7 @@ def period_px(skin: Skin) -> float:
     return float(band.sum() / (band @ at) / skin.scale)
 
 
-def offset_px(skin: Skin, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
+def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
     """Return the distance, px of the contact view, between the ridges in both views; 0 if it is small or unknown.
 
     A ridge is dark in the contact view and bright in the topography view, or dark in both: only the size of the
@@ -73,7 +75,7 @@ def offset_px(skin: Skin, topography: NDArray[np.number], topography_to_contact:
     size = columns.stop - columns.start, rows.stop - rows.start
     picture = np.asarray(cv2.warpAffine(topography.astype(np.float32), matrix, size), np.float32)
     other = _flat(_reduced(picture, skin.scale), np.ones_like(skin.inside))
-    other /= np.sqrt(_mean(other * other)) + np.float32(1e-6)
+    other /= np.sqrt(np.maximum(_mean(other * other), np.float32(1e-12)))
     product = np.conj(np.fft.rfft2(skin.ridges)) * np.fft.rfft2(other)
     reach = min(_REACH_PX, *(side // 4 for side in other.shape))
     found = np.roll(np.fft.irfft2(product, other.shape), (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
