@@ -106,8 +106,8 @@ def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset
         try:
             result = process(scene)
         except FingerflowError as error:
-            return Case(mistake.case, "none", truth, str(error)[:90], "refused")
-        said = [one for one in warnings_of(result).splitlines() if mistake.cause in one]
+            return Case(mistake.case, "none", truth, str(error).replace(f"{press}/", "")[:90], "refused")
+        said = [one for one in warnings_of(result).replace(f"{press}/", "").splitlines() if mistake.cause in one]
         verdict = "warned" if said else "wrong in silence"
         return Case(mistake.case, _peak(result, mistake.variable), truth, (said or ["nothing"])[0][:90], verdict)
 
