@@ -139,7 +139,10 @@ def test_hdf5_attributes_of_the_data_set_or_around_it(tmp_path, holder):
     recording = open_recording(tmp_path / "a.hdf5")
     assert (recording.frame_rate, recording.bit_depth) == (300, 12)
     assert recording.times[3] == pytest.approx(0.01)
-    assert open_recording(tmp_path / "a.hdf5", frame_rate=60).frame_rate == 60
+    other = open_recording(tmp_path / "a.hdf5", frame_rate=60)
+    assert other.frame_rate == 60
+    assert "states 300 Hz, and frame_rate = 60 is taken" in other.warnings[-1]
+    assert open_recording(tmp_path / "a.hdf5", frame_rate=301).warnings == recording.warnings
 
 
 def test_hdf5_with_a_choice(tmp_path):

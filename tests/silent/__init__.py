@@ -1,1 +1,1 @@
-"""Tables of cases in which a number could be wrong in silence: `python -m tests.silent GROUP`."""
+"""Mistakes and damages that must not be wrong in silence: `python -m tests.silent GROUP` prints a table of them."""

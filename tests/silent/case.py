@@ -1,10 +1,10 @@
-"""One line of a table of cases."""
+"""One case that must not be wrong in silence."""
 
 from typing import NamedTuple
 
 
 class Case(NamedTuple):
-    """A case, the number that is given, the true one, what is stated of it, and the verdict, in short texts."""
+    """What was tried, a number of the result, its truth, what the result states, and the verdict."""
 
     case: str
     number: str

@@ -10,6 +10,7 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
 
+_CORRECTION = 2.0  # largest factor that corrects a force which is in N already
 _CHANGES = 0.1  # N, tolerated change of a force within the tare
 
 
@@ -48,6 +49,11 @@ def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[s
                 f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in {units[name]}, not in "
                 f"N; give the sensor's sensitivity in the scene, [forces] gain = 2.5 in N/{units[name]}, and [forces] "
                 f'units = "N" if the heading is wrong'
+            )
+        if units[name] == "N" and sensor.gain and not 1 / _CORRECTION <= abs(sensor.gain) <= _CORRECTION:
+            warnings.append(
+                f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in N already, and "
+                f'[forces] gain = {sensor.gain:g} multiplies it: leave gain out, or give units = "V"'
             )
         factor = sensor.sign * (1.0 if sensor.gain is None else sensor.gain)
         readings = forces.channels[name]

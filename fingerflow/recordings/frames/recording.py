@@ -21,6 +21,9 @@ EACH_FRAME_BY_ITSELF = frozenset(
     ("mjpeg", "jpeg", "ojpeg", "jpeg_lossy", "alt_jpeg", "webp", "jpeg2000", "dvvideo", "prores", "dnxhd", "cfhd")
 )
 
+_PLAYBACK_HZ = 60.0  # up to here a file may state the rate of its playback
+_SAME_RATE = 0.01
+
 Frames = NDArray[Any]
 
 
@@ -210,8 +213,15 @@ class FileRecording(Recording):
     def replace_rate(self, frame_rate: float) -> None:
         """Replace the frame rate and the times of the file: frame i is at (first number + i) / frame_rate.
 
-        Time 0 stays at the trigger.
+        Time 0 stays at the trigger. A warning tells of a rate that the file contradicts; a video may state that of its
+        playback.
         """
+        stated = self.frame_rate
+        if stated is not None and stated > _PLAYBACK_HZ and abs(frame_rate / stated - 1) > _SAME_RATE:
+            self.warnings += (
+                f"the file states {stated:g} Hz, and frame_rate = {frame_rate:g} is taken: all times and "
+                "rates follow from it. Leave it out unless the file is wrong",
+            )
         self.frame_rate = frame_rate
         self.times = np.asarray((self._first_number + np.arange(self._count)) / frame_rate)
 

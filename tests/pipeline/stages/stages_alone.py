@@ -25,6 +25,7 @@ from fingerflow.results.store import MemoryStore
 def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyframe") -> Inputs:
     """Settings alone: views with one scale, without a recording."""
     scene = SimpleNamespace(
+        kind="press",
         fields=SimpleNamespace(
             reference="onset",
             gauge_length_mm=1.6,

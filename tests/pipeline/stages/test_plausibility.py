@@ -30,6 +30,23 @@ def test_what_is_plausible_says_nothing(changed: Change) -> None:
     assert plausibility.of_tracking(np.array([1.0, np.nan, 0.8]), 0) == []
     grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).reshape(-1, 2)
     assert plausibility.of_gauge(3.0, grid, 8.0) == []
+    force, gross, offset = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40), np.full(40, 0.02)
+    for normal in (force, force + offset, 0.1 * force, np.full(40, np.nan)):
+        assert plausibility.of_force(normal) == []
+        assert plausibility.of_pressure(normal, gross) == []
+        assert plausibility.of_onset(normal, gross, 0) == []
+        assert plausibility.of_growth(normal, gross) == []
+        assert plausibility.of_missing_frames(gross, normal, 0) == []
+    assert plausibility.of_onset(force, nothing.repeat(8), 0) == []
+    assert plausibility.of_growth(force, force**0.1) == []  # as little as skin grows
+    assert plausibility.of_beginning(gross, 0) == []
+    assert plausibility.of_beginning(np.full(40, 66.0), 0) == []  # a slide
+    assert plausibility.of_beginning(nothing, 0) == []
+    for nothing_known in (plausibility.of_ridges(np.nan, 0.03), plausibility.of_ridges(15.0, 0.03)):
+        assert nothing_known == []
+    assert plausibility.of_views(0.0, 0.03) == []
+    assert plausibility.of_background(0.001, 0) == []
+    assert plausibility.of_young_modulus(1.0) == []
     assert plausibility.of_gauge(3.0, nothing.reshape(5, 1).repeat(2, 1), np.nan) == []
 
 
@@ -45,6 +62,29 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     assert "in 2 frames, the first is 6 (40%)" in lost
 
 
+def test_a_contradiction_between_force_and_contact_is_said() -> None:
+    """Forces of other units and of other moments than the pictures, and frames that are not there."""
+    force, gross = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40)
+    for normal, value in ((1000 * force, "6.25e+04 kPa"), (102 * force, "6.38e+03 kPa"), (force / 1000, "0.0625 kPa")):
+        (said,) = plausibility.of_pressure(normal, gross)
+        assert value in said
+    assert "reaches 510 N" in plausibility.of_force(102 * force)[0]
+    late, early = np.concatenate([np.zeros(9), force[:-9]]), np.concatenate([force[9:], np.full(9, 5.0)])
+    (said,) = plausibility.of_onset(late, gross, 100)
+    assert "the contact has 21 of its 80 mm2 in frame 110, where the normal force is 0.0033 of 3 N" in said
+    (said,) = plausibility.of_onset(early, gross, 100)
+    assert "the normal force is 0.27 N in frame 100, where nothing touches (in 1 frames)" in said
+    (said,) = plausibility.of_growth(force, np.minimum(gross, 60))
+    assert "and the contact no longer grows (60 mm2)" in said
+    cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
+    (said,) = plausibility.of_missing_frames(cut, None, 5)
+    assert "steps from 29.4 to 50.6 mm2 between frames 34 and 35, 21 times as far" in said
+    # The same step of the force is a real one.
+    assert plausibility.of_missing_frames(cut, cut / 16, 5) == []
+    (said,) = plausibility.of_beginning(gross[10:], 10)
+    assert "20.5 of 80 mm2 touch in frame 10" in said
+
+
 @pytest.mark.parametrize(
     ("replaced", "said"),
     [
@@ -53,10 +93,23 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
         ({"points = 700": "points = 3"}, "points come into contact: no gradient can be fitted"),
         ({}, "of 700 points were found: the region of "),
         ({"mm_per_px = 0.0325": "mm_per_px = 0.9"}, "makes the contact view 108 mm wide"),
+        ({"mm_per_px = 0.0325": "mm_per_px = 0.065"}, "mm apart, and those of fingers are 0.3 to 0.7 mm apart"),
+        ({"mm_per_px = 0.0325": "mm_per_px = 0.01625"}, "mm apart, and those of fingers are 0.3 to 0.7 mm apart"),
+        ({"young_modulus_mpa = 1.0": "young_modulus_mpa = 1000.0"}, "fields.young_modulus_mpa = 1000 is outside"),
+        ({"# first_frame = 0": "first_frame = 4"}, "the recording begins in contact: "),
+        ({"# first_frame = 0": "first_frame = 4"}, "in the frames that count: they begin in contact"),
+        ({"[forces]": "[forces]\ngain = 1000"}, "is in N already, and [forces] gain = 1000 multiplies it"),
+        ({"[forces]": "[forces]\ngain = 1000"}, "and no finger presses with more than 100 N"),
     ],
 )
 def test_a_setting_that_contradicts_the_data_is_said(changed: Change, replaced: dict[str, str], said: str) -> None:
     assert said in warnings_of(process(changed(replaced)))
+
+
+def test_background_that_shows_a_finger_is_said(changed: Change, frames: Array) -> None:
+    scene = changed({'threshold = "reference_frame"': "threshold = 0.27"}, empty=frames[3])
+    said = warnings_of(process(scene, ["gross_contact_area"]))
+    assert "background.frames is darker than frame 0 in " in said
 
 
 def test_lamp_that_falls_to_stay(changed: Change, frames: Array) -> None:

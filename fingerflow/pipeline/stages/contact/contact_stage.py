@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import torch
 import xarray as xr
@@ -14,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.morphology import dilate
-from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import read_frames
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
@@ -25,6 +26,7 @@ from fingerflow.schema.variables import CONTACT
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with most contact, if forces are unknown
 _STEP = 4  # px between sampled pixels
+_BRIGHTER = 1.2  # times the light of the empty glass, by which a frame is brighter
 _STEADY = 0.01  # change of illumination gain that does not change areas
 
 
@@ -37,6 +39,7 @@ class ContactStage(Stage):
             NaN in unusable frames.
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
+        skin: that touches in the reference frame; None if too little does.
     """
 
     name = "contact"
@@ -45,6 +48,7 @@ class ContactStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (
+        "kind",
         "contact",
         "views.contact",
         "background",
@@ -73,8 +77,15 @@ class ContactStage(Stage):
         black = None if dark is None else dark[0, 0].cpu().numpy()
         # Outside the scene's region the light is set to 0: no contact is detected there.
         self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
+        first = int(np.argmax(self._usable))
+        brighter = self._brighter(first, glass, black)
+        self.warnings.extend(plausibility.of_background(brighter, first + self.inputs.scene.recording.first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
+        self._largest = self._region_of(self.reference_frame)
+        self.skin = self._skin(glass, black)
+        if self.skin is not None:
+            self.warnings.extend(plausibility.of_ridges(ridges.period_px(self.skin), self.inputs.mm_per_px))
         if "gross_contact_region" in self.trial.asked:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
@@ -118,6 +129,13 @@ class ContactStage(Stage):
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
+        normal = self.trial.stage(LoadingStage).normal
+        if self.inputs.scene.kind != "slip":
+            self.warnings.extend(plausibility.of_missing_frames(gross, normal, first_frame))
+        if normal is not None:
+            self.warnings.extend(plausibility.of_pressure(normal, gross))
+            self.warnings.extend(plausibility.of_onset(normal, gross, first_frame))
+            self.warnings.extend(plausibility.of_growth(normal, gross))
         for name, values in self.series.items():
             self.results.put(name, values)
 
@@ -137,7 +155,7 @@ class ContactStage(Stage):
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
         has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._region_of(self.reference_frame), self._region_of(int(np.argmax(self._usable)))
+        largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
@@ -147,13 +165,33 @@ class ContactStage(Stage):
         sides of the contact border.
         """
         first = int(np.argmax(self._usable))
-        return dilate(self._region_of(first) | self._region_of(self.reference_frame), margin_px)
+        return dilate(self._region_of(first) | self._largest, margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
         if not (contact.density_margin > 0).any():
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
+
+    def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
+        """Return the skin that touches in the reference frame."""
+        frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
+        dark = np.float32(0) if black is None else black
+        return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
+
+    def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
+        """Return the share of the lit view in which a frame is brighter than the empty glass, up to the gain."""
+        frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
+        images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
+        gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
+        dark = np.float32(0) if black is None else black
+        light = glass - dark
+        size = light.shape[1] // _STEP, light.shape[0] // _STEP
+        seen, given = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (frames[0] - dark, light))
+        lit = given > _LEAST_LIGHT * given.max()
+        return float(
+            (seen[lit] > _BRIGHTER * given[lit] * (gain if np.isfinite(gain) else 1)).sum() / max(lit.sum(), 1)
+        )
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
         images = self._engine.images(self._view.crop(frames))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
+from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, reference_of
 from fingerflow.pipeline.stages.preparation.series import nanmedian
@@ -74,7 +75,7 @@ class DisplacementStage(Stage):
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
-        *("fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
+        *("kind", "fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
         *("recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
@@ -117,6 +118,9 @@ class DisplacementStage(Stage):
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
             self._find_errors_of_onset()
+            if inputs.scene.kind in ("press", "single_view"):
+                gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+                self.warnings.extend(plausibility.of_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             self.places, self.some_later = self._common.places, bool(self._common.later.any())
             moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)

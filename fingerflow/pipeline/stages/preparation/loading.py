@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.recordings import Forces, open_forces
 from fingerflow.recordings.forces.newtons import Sensor, to_newtons
@@ -79,12 +80,27 @@ class LoadingStage(Stage):
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
+        self._check_frames(settings.file, values["normal_force"], forces.channels["normal_force"])
         self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
             # Magnitude of filtered components: that of unfiltered ones is biased by noise where the force is near 0.
             self.tangential = np.hypot(x, y) if len(components) == 2 else x
             self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
+
+    def _check_frames(self, file: Path, normal: Series, recorded: Series) -> None:
+        """Warn of forces beyond those of a finger, and of frames that begin after the finger was put down."""
+        self.warnings.extend(plausibility.of_force(normal))
+        if self.inputs.scene.kind == "slip" or not np.isfinite(normal).any():
+            return
+        lowest, highest = np.nanquantile(recorded, (0.01, 0.99))
+        least, limit = float(np.nanmin(normal)), max(_LEAST_OFFSET, _OFFSET_SHARE * highest)
+        if lowest < limit < least:
+            self.warnings.append(
+                f"{file}: the normal force falls to {lowest:.2g} N, but not below {least:.2g} N in the frames that "
+                "count: they begin in contact. Lower recording.first_frame, or check recording.trigger_frame and "
+                "forces.trigger_level"
+            )
 
     def finish(self) -> None:
         ratio = self.ratio

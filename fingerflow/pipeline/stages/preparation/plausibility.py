@@ -7,6 +7,19 @@ _NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # width of a view of skin: from a few ri
 _JUMP = 0.25  # share of the view's area: no contact grows by as much from one frame to the next
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points, below which a warning is given
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
+# What is known of fingertips, with a margin for every hand and laboratory.
+_RIDGE_MM = (0.3, 0.7)  # ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
+_MOST_FORCE = 100.0  # N, peak normal force of one finger: maximal pinch forces are 50 to 100 N
+_PRESSURE_KPA = (1.0, 300.0)  # normal force over gross area, at the peak: 5 to 100 kPa at 0.1 to 20 N
+_YOUNG_MPA = (0.005, 20.0)  # of skin and pulp in vivo 0.01 to 3 MPa, of gels from 0.005 MPa
+_FORCE_OF_NOTHING = (0.05, 0.01)  # N and share of the peak: largest force of a sensor where nothing touches
+_NOISE = 0.005  # N, of a force at the frame rate
+_AREA_BY_FORCE = 1 / 3  # gross area grows as the force to this power, or a higher one up to Hertz's 2/3
+_SAFE = 1.5  # factor on the area by that law
+_RISES, _FOLLOWS = 1.1, 0.05  # rise of the force over the last tenth; d ln(area) / d ln(force), 0.1 to 2/3 for skin
+_STARTS, _GROWS = 0.02, 1.1  # share of the largest area that is a contact; growth that makes a press
+_MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4  # step of the area over those of so many frames on either side; its share
+_BRIGHTER_SHARE = 0.005  # of the lit view, in which no background is darker than a frame
 Series = NDArray[np.float64]
 
 
@@ -18,6 +31,174 @@ def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
     return [
         f"calibration.mm_per_px = {mm_per_px:g} makes the contact view {wide:.3g} mm wide, as no view of a fingertip "
         f"is: check the scale, or the radius of the ring's hole that it was measured by"
+    ]
+
+
+def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
+    """Return a warning for a ridge period of the contact view, px or NaN, that is none of skin at this scale."""
+    period, (least, most) = period_px * mm_per_px, _RIDGE_MM
+    if not np.isfinite(period) or least <= period <= most:
+        return []
+    return [
+        f"calibration.mm_per_px = {mm_per_px:g} puts the ridges {period:.2g} mm apart, and those of fingers are "
+        f"{least:g} to {most:g} mm apart: the scale is wrong by a factor, as if a diameter were taken for a radius. "
+        f"Lengths, areas and pressures are wrong with it; calibrate again"
+    ]
+
+
+def of_views(offset_px: float, mm_per_px: float) -> list[str]:
+    """Return a warning for views whose ridges are `offset_px` px of the contact view apart, 0 for none."""
+    if not offset_px:
+        return []
+    return [
+        f"calibration.topography_to_contact puts the ridges of the topography view {offset_px:.2g} px "
+        f"({offset_px * mm_per_px:.2g} mm) beside those of the contact view: it is inverted, that of another setup, or "
+        f"left out. Onsets and fields are those of skin elsewhere; calibrate the views again"
+    ]
+
+
+def of_background(brighter: float, frame: int) -> list[str]:
+    """Return a warning if a share `brighter` of the lit contact view is brighter in a frame than the background."""
+    if not brighter > _BRIGHTER_SHARE:
+        return []
+    return [
+        f"background.frames is darker than frame {frame} in {brighter:.1%} of the contact view, as if a finger or dirt "
+        f"were on the glass, or the light another: contact there is not seen. Record the empty glass again"
+    ]
+
+
+def of_young_modulus(modulus_mpa: float) -> list[str]:
+    """Return a warning for a Young's modulus that no skin or gel has."""
+    least, most = _YOUNG_MPA
+    if least <= modulus_mpa <= most:
+        return []
+    return [
+        f"fields.young_modulus_mpa = {modulus_mpa:g} is outside the {least:g} to {most:g} MPa of skin: give MPa, not "
+        f"kPa or Pa. Strain energies are proportional to it"
+    ]
+
+
+def of_force(normal: Series) -> list[str]:
+    """Return a warning for normal forces (frames,) N beyond those of a finger."""
+    peak = float(np.nanmax(normal, initial=0.0))
+    if peak <= _MOST_FORCE:
+        return []
+    return [
+        f"the normal force reaches {peak:,.0f} N, and no finger presses with more than {_MOST_FORCE:g} N: is it in mN "
+        f"or g? Give [forces] units, or check gain"
+    ]
+
+
+def of_pressure(normal: Series, gross: Series) -> list[str]:
+    """Return a warning for a mean pressure that no fingertip has, from forces N and gross areas mm^2, (frames,)."""
+    touching = np.isfinite(normal) & (gross > 0)
+    if not touching.any():
+        return []
+    frame = int(np.argmax(np.where(touching, normal, -np.inf)))
+    force, area, (least, most) = float(normal[frame]), float(gross[frame]), _PRESSURE_KPA
+    pressure = 1000 * force / area
+    if least <= pressure <= most:
+        return []
+    return [
+        f"the largest normal force, {force:,.3g} N on {area:.3g} mm2, is a mean pressure of {pressure:,.3g} kPa, and "
+        f"that of fingertips is {least:g} to {most:g} kPa: check [forces] units (mN, g) and gain, and "
+        f"calibration.mm_per_px"
+    ]
+
+
+def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
+    """Return a warning if contact and normal force do not begin together, from N and mm^2 (frames,).
+
+    Force without contact counts everywhere; contact without force only until the force is largest, as skin that lets go
+    adheres. The area that needs no measurable force follows from A ~ F^(1/3).
+    """
+    known = np.isfinite(normal) & np.isfinite(gross)
+    if not known.any() or not (gross[known] > 0).any():
+        return []
+    force, area = np.where(known, normal, 0.0), np.where(known, gross, 0.0)
+    peak, largest = float(force.max()), float(area.max())
+    nothing = known & (area == 0)
+    least, share = _FORCE_OF_NOTHING
+    pressing = nothing & (np.abs(force) > max(least, share * peak))
+    cause = (
+        "force and pictures are not of the same moments, or the sensor has another zero. Check recording.trigger_frame "
+        "and forces.trigger_level, recording.frame_rate, and forces.offset or tare"
+    )
+    if pressing.any():
+        frame = int(np.argmax(np.where(pressing, np.abs(force), 0)))
+        return [
+            f"the normal force is {force[frame]:.2g} N in frame {frame + first_frame}, where nothing touches (in "
+            f"{int(pressing.sum())} frames): {cause}"
+        ]
+    noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
+    light = known & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
+    unloaded = np.where(light, area, 0.0)
+    frame = int(np.argmax(unloaded))
+    if peak < 10 * noise or unloaded[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
+        return []
+    return [
+        f"the contact has {area[frame]:.2g} of its {largest:.2g} mm2 in frame {frame + first_frame}, where the normal "
+        f"force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
+    ]
+
+
+def of_growth(normal: Series, gross: Series) -> list[str]:
+    """Return a warning for a contact that stops growing at the end while the force rises, N and mm^2 (frames,)."""
+    known = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
+    last = known[-(len(known) // 10) :]
+    if len(last) < _BESIDE:
+        return []
+    parts = np.array_split(last, 3)
+    (force, more), (area, larger) = ([float(one[part].mean()) for part in parts[::2]] for one in (normal, gross))
+    if force <= _NOISE or area <= 0 or more < _RISES * force or larger > area * (more / force) ** _FOLLOWS:
+        return []
+    return [
+        f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
+        f"({larger:.3g} mm2): the force is of an earlier moment, or the contact fills the view. Check "
+        f"recording.frame_rate and trigger_frame, and [views.contact]"
+    ]
+
+
+def of_beginning(gross: Series, first_frame: int) -> list[str]:
+    """Return a warning for a press that is recorded from within its contact, by gross areas (frames,) mm^2."""
+    known = np.flatnonzero(np.isfinite(gross))
+    if not len(known):
+        return []
+    first, largest = float(gross[known[0]]), float(gross[known].max())
+    if first <= _STARTS * largest or largest <= _GROWS * first:
+        return []
+    return [
+        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm2 touch in frame {known[0] + first_frame}. "
+        f"Skin there has no onset, and its displacement and strain lack what came before: lower recording.first_frame, "
+        f"record earlier, or give fields.reference"
+    ]
+
+
+def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> list[str]:
+    """Return a warning where a contact steps from one frame to the next as in many frames around, mm^2 (frames,).
+
+    A step of the force (N) by as large a share is a real one.
+    """
+    step, largest = np.abs(np.diff(gross)), float(np.nanmax(gross, initial=0.0))
+    if len(step) <= 2 * _BESIDE or not largest > 0:
+        return []
+    around = np.lib.stride_tricks.sliding_window_view(step, 2 * _BESIDE + 1)
+    usual = np.max([np.median(one, axis=1) for one in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
+    touching = np.lib.stride_tricks.sliding_window_view(gross, 2 * _BESIDE + 2).min(1) > 0
+    steps = step[_BESIDE:-_BESIDE]
+    jumps = touching & (steps > _MISSING * usual) & (steps > _LEAST_STEP * largest)
+    if normal is not None:
+        by_force = np.abs(np.diff(normal))[_BESIDE:-_BESIDE] / max(float(np.nanmax(normal, initial=0.0)), 1e-9)
+        jumps &= ~(by_force > steps / largest / 2)
+    found = np.flatnonzero(jumps) + _BESIDE
+    if not len(found):
+        return []
+    frame = found[0]
+    return [
+        f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm2 between frames "
+        f"{frame + first_frame} and {frame + 1 + first_frame}, {step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} "
+        f"times as far as in the frames around: frames may be missing there, and all times after it be wrong. Copy the "
+        f"recording again, or give one whose file has time stamps"
     ]
 
 

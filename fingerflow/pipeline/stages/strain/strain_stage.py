@@ -12,6 +12,7 @@ from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.border_energy import border_energy
@@ -53,6 +54,7 @@ class StrainStage(Stage):
         self._energy, self._energy_std = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
+        self.warnings.extend(plausibility.of_young_modulus(self._settings.young_modulus_mpa))
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles

@@ -14,8 +14,9 @@ from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.preparation import plausibility
+from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.preparation.inputs import read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -91,6 +92,10 @@ class TrackingStage(Stage):
                 f"where most of it was expected: there are no points and no deformation"
             )
             self._create(0)
+        if contact.skin is not None and self._view != self.inputs.scene.views.contact:
+            frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
+            offset = ridges.offset_px(contact.skin, frame, self.inputs.topography_to_contact)
+            self.warnings.extend(plausibility.of_views(offset, self.inputs.mm_per_px))
 
     def step(self, batch: Batch) -> Any:
         """Track all points through a batch of frames, in the given order; unusable frames are skipped."""

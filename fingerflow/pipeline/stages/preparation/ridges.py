@@ -1,0 +1,105 @@
+"""Ridges of the skin in contact: their period, and the offset between their pictures in the two views."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_SIDE_PX = 256  # longest side of the patch of skin that is analysed: a ridge then has some 10 px
+_MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are of light and pressure
+_SHORTEST_PX, _LONGEST_PX = 4.0, 40.0  # periods that a patch shows
+_BAND = 1.3  # ratio to the frequency of the peak, up to which power belongs to the ridges
+_LEAST_POWER = 0.45  # share of the power that lies in that band if the ridges are distinct
+_REACH_PX = 40  # of a patch: largest offset that is found
+_LEAST_CORRELATION = 0.3  # between the ridges in both views if both show them; by chance it stays below 0.15
+_WEAKER = 0.75  # correlation without an offset over the best one, below which the views are offset
+Picture = NDArray[np.float32]
+
+
+class SkinPatch(NamedTuple):
+    """Patch of skin in contact: `ridges` (h, w), flat and 0 outside the contact, at `scale` patch px per px.
+
+    `inside` (h, w) bool is the contact, `box` its rows and columns in the view.
+    """
+
+    ridges: Picture
+    inside: NDArray[np.bool_]
+    box: tuple[slice, slice]
+    scale: float
+
+
+def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
+    """Return the skin that touches in a contact view (h, w), lit by `light`, in a region `inside`; None if it is small.
+
+    Single pixels, hot or dead, are removed by a median.
+    """
+    rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    if len(rows) < _LONGEST_PX or len(columns) < _LONGEST_PX:
+        return None
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    scale = min(1.0, _SIDE_PX / max(len(rows), len(columns)))
+    share = (contact[box] / np.where(light[box] > 0, light[box], np.inf)).clip(0, 1.5).astype(np.float32)
+    within = _reduced(inside[box].astype(np.float32), scale) > 0.5
+    return SkinPatch(
+        _flat(_reduced(np.asarray(cv2.medianBlur(share, 3), np.float32), scale), within), within, box, scale
+    )
+
+
+def period_px(skin: SkinPatch) -> float:
+    """Return the ridge period in px of the view, or NaN if ridges are not distinct.
+
+    It is the centre of the strongest band of the power spectrum, summed over rings of equal frequency.
+    """
+    rows, columns = skin.ridges.shape
+    power = np.square(np.abs(np.fft.rfft2(skin.ridges)))
+    frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns))
+    ring = np.rint(frequency * _SIDE_PX).astype(np.intp)
+    rings, at = np.bincount(ring.ravel(), power.ravel()), np.arange(ring.max() + 1) / _SIDE_PX
+    rings[(at < 1 / _LONGEST_PX) | (at > 1 / _SHORTEST_PX)] = 0
+    peak = at[np.argmax(rings)]
+    band = np.where((at > peak / _BAND) & (at < peak * _BAND), rings, 0)
+    if not band.sum() > _LEAST_POWER * rings.sum():
+        return float("nan")
+    return float(band.sum() / (band @ at) / skin.scale)
+
+
+def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
+    """Return the distance, px of the contact view, between the ridges in both views; 0 if it is small or unknown.
+
+    A ridge is dark in the contact view and bright in the topography view, or dark in both: only the size of the
+    correlation counts.
+    """
+    rows, columns = skin.box
+    matrix = topography_to_contact - [[0, 0, columns.start], [0, 0, rows.start]]
+    size = columns.stop - columns.start, rows.stop - rows.start
+    picture = np.asarray(cv2.warpAffine(topography.astype(np.float32), matrix, size), np.float32)
+    other = _flat(_reduced(picture, skin.scale), np.ones_like(skin.inside))
+    other /= np.sqrt(np.maximum(_mean(other * other), np.float32(1e-12)))
+    product = np.conj(np.fft.rfft2(skin.ridges)) * np.fft.rfft2(other)
+    reach = min(_REACH_PX, *(side // 4 for side in other.shape))
+    found = np.roll(np.fft.irfft2(product, other.shape), (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    found = np.abs(found) / max(np.linalg.norm(skin.ridges) * np.linalg.norm(other[skin.inside]), 1e-30)
+    down, across = np.unravel_index(np.argmax(found), found.shape)
+    best = found[down, across]
+    if not best >= _LEAST_CORRELATION or found[reach, reach] > _WEAKER * best:
+        return 0.0
+    return float(np.hypot(down - reach, across - reach)) / skin.scale
+
+
+def _reduced(picture: Picture, scale: float) -> Picture:
+    """Return a picture at another scale, at most 1, by means over pixels."""
+    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
+    """Return a picture without waves longer than ridges, 0 outside."""
+    weight = inside.astype(np.float32)
+    mean = _mean(picture * weight)
+    mean /= np.maximum(_mean(weight), np.float32(1e-3))
+    return (picture - mean) * weight
+
+
+def _mean(picture: Picture) -> Picture:
+    """Return local means of a picture."""
+    return np.asarray(cv2.blur(picture, (_MEAN_PX, _MEAN_PX)), np.float32)

@@ -1,0 +1,58 @@
+"""Ridges of the skin in contact: period, and offset between the views."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.pipeline.stages.preparation import ridges
+from fingerflow.synthetic import FingerprintTexture, Press
+from fingerflow.synthetic.skin_interface import Skin
+from fingerflow.synthetic.texture import RidgeTexture
+
+PRESS = Press(frame_shape=(384, 960), semi_axes=(4.5, 3.8))
+SKINS = [RidgeTexture(), *(FingerprintTexture(pattern=pattern) for pattern in ("loop", "whorl", "arch"))]
+
+
+def _patch(press: Press) -> tuple[ridges.SkinPatch, np.ndarray, np.ndarray]:
+    """Return the skin in contact at the end, the topography view and the transform."""
+    frame, empty = press.render(299), press.empty().astype(np.float32)
+    topography, contact = press.views["topography"], press.views["contact"]
+    rows, columns = contact.shape
+    y, x = (torch.from_numpy(one * press.mm_per_px) for one in np.mgrid[:rows, :columns])
+    ellipse = press.truth.ellipse(299)
+    assert ellipse is not None
+    skin = ridges.skin_in(
+        contact.crop(frame[None])[0], contact.crop(empty[None])[0], ellipse.distance(x, y).numpy() > 0
+    )
+    assert skin is not None
+    return skin, topography.crop(frame[None])[0], np.array(press.topography_to_contact)
+
+
+@pytest.mark.parametrize("texture", SKINS)
+def test_period_and_offset(texture: Skin) -> None:
+    """Periods of the skins are 0.43 to 0.53 mm; a transform that is left out or inverted is off by some pixels."""
+    press = replace(PRESS, texture=texture)
+    skin, topography, matrix = _patch(press)
+    assert 0.4 < ridges.period_px(skin) * press.mm_per_px < 0.56
+    assert ridges.offset_px(skin, topography, matrix) == 0
+    inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
+    for wrong in (np.eye(2, 3), inverse):
+        middle = np.array([240, 192, 1.0])
+        off = np.linalg.norm((matrix - wrong) @ middle)
+        assert ridges.offset_px(skin, topography, wrong) == pytest.approx(off, rel=0.5)
+    # Views of other skin, or without any, are not judged.
+    noise = np.random.default_rng(0).normal(size=topography.shape)
+    assert ridges.offset_px(skin, noise, matrix) == 0
+    assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0
+
+
+def test_what_shows_no_ridges_has_no_period() -> None:
+    inside = np.ones((120, 160), bool)
+    light = np.full(inside.shape, 100, np.float32)
+    for picture in (np.random.default_rng(1).normal(50, 5, inside.shape), np.full(inside.shape, 50.0)):
+        skin = ridges.skin_in(picture, light, inside)
+        assert skin is not None
+        assert np.isnan(ridges.period_px(skin))
+    assert ridges.skin_in(light, light, np.zeros_like(inside)) is None
