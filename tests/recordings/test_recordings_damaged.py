@@ -17,6 +17,7 @@ from test_recordings_video import COUNT, frames_of
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
 from tests.recordings.camera_files import write_photron, write_video
+from tests.recordings.hdf5_index import damaged_indexes
 
 RNG = np.random.default_rng(23)
 GREY = RNG.integers(1, 256, (6, 20, 30)).astype(np.uint8)
@@ -171,6 +172,44 @@ def test_a_damaged_chunk_is_its_frames(tmp_path):
     assert list(recording.unreadable) == [3]
     assert recording.unreadable[3].startswith("cannot be decoded (")
     np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"compression": "gzip"}, {"fletcher32": True}, {"compression": "gzip", "shuffle": True, "fletcher32": True}],
+)
+def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
+    said = {}
+    for done in damaged_indexes(tmp_path / "a.h5", GREY, **options):
+        try:
+            with open_recording(tmp_path / "a.h5") as recording:
+                frames = recording.read()
+                right = [np.array_equal(frame, one) for frame, one in zip(frames, GREY, strict=True)]
+                said[done] = set(np.flatnonzero(~np.array(right))) - set(recording.unreadable)
+        except FingerflowError as error:
+            said[done] = str(error)
+    assert [done for done, wrong in said.items() if isinstance(wrong, set) and wrong] == []
+    assert "index of /x is damaged: two chunks lie in the same bytes; copy" in said["address of a chunk shifted"]
+    assert "chunk (9, 0, 0) is outside its grid" in said["place of a chunk outside the grid"]
+    if "fletcher32" in options:  # HDF5 crashes on these
+        for short in range(4):
+            assert f"chunk (2, 0, 0) of {short} bytes lacks its checksum" in said[f"size of a chunk {short}"]
+
+
+def test_forces_that_were_never_written_are_refused(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"] = np.arange(40) / 1000
+        file["time"].attrs["units"] = "s"
+        normal = file.create_dataset("Fz [raw]", (40,), "f8", chunks=(10,))
+        normal.attrs["units"] = "mN"
+        normal[:30] = 2000.0
+    with pytest.raises(
+        FingerflowError, match=r"a\.h5: /Fz \[raw\] \(40,\) has no values from \(30,\) on .*copy"
+    ):
+        open_forces(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["Fz [raw]"][30:] = 2000.0
+    np.testing.assert_array_equal(open_forces(tmp_path / "a.h5").channels["Fz [raw]"], np.full(40, 2.0))
 
 
 def test_floating_frames_that_cannot_be_read_are_nan(tmp_path):
