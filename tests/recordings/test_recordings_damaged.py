@@ -203,9 +203,7 @@ def test_forces_that_were_never_written_are_refused(tmp_path):
         normal = file.create_dataset("Fz [raw]", (40,), "f8", chunks=(10,))
         normal.attrs["units"] = "mN"
         normal[:30] = 2000.0
-    with pytest.raises(
-        FingerflowError, match=r"a\.h5: /Fz \[raw\] \(40,\) has no values from \(30,\) on .*copy"
-    ):
+    with pytest.raises(FingerflowError, match=r"a\.h5: /Fz \[raw\] \(40,\) has no values from \(30,\) on .*copy"):
         open_forces(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file["Fz [raw]"][30:] = 2000.0
