@@ -1,5 +1,6 @@
 """HTTP server of the page, whose requests a session answers."""
 
+import re
 import socket
 import threading
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from starlette.staticfiles import StaticFiles
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.view.binary_answer import plain
+from fingerflow.view.bodies import Body, Calibrate, Edit, End, History, Process, Table, Write, body_of
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.open_path import open_path
@@ -99,8 +101,8 @@ def application(session: Session) -> Starlette:
 
     def number(request: Request, name: str) -> int:
         text = request.query_params.get(name, "")
-        if not text.lstrip("-").isdigit():
-            raise FingerflowError(f"{name}={text!r} is no whole number")
+        if not re.fullmatch(r"-?[0-9]{1,18}", text):
+            raise FingerflowError(f"{name}={text[:40]!r} is no number of a frame")
         return int(text)
 
     def frame(request: Request) -> bytes:
@@ -128,12 +130,12 @@ def application(session: Session) -> Starlette:
         Route("/api/points", _get(lambda _: asked.points())),
         Route("/api/forces", _get(lambda _: asked.forces())),
         Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(asked.edit), methods=["POST"]),
-        Route("/api/calibrate", _post(asked.calibrate), methods=["POST"]),
-        Route("/api/write", _post(asked.write), methods=["POST"]),
-        Route("/api/process", _post(asked.process), methods=["POST"]),
-        Route("/api/end", _post(asked.end), methods=["POST"]),
-        Route("/api/report", _post(asked.report), methods=["POST"]),
+        Route("/api/edit", _post(asked.edit, Edit), methods=["POST"]),
+        Route("/api/calibrate", _post(asked.calibrate, Calibrate), methods=["POST"]),
+        Route("/api/write", _post(asked.write, Write), methods=["POST"]),
+        Route("/api/process", _post(asked.process, Process), methods=["POST"]),
+        Route("/api/end", _post(asked.end, End), methods=["POST"]),
+        Route("/api/report", _post(asked.report, Body), methods=["POST"]),
         Route("/api/progress", _get(lambda request: asked.progress(request.query_params.get("of", "")))),
         Route("/report.html", _get(report)),
         Route("/api/result", _get(lambda _: asked.result())),
@@ -141,8 +143,8 @@ def application(session: Session) -> Starlette:
         Route("/api/result/range", _get(lambda request: asked.result_range(request.query_params.get("key", "")))),
         Route("/api/result/triangles", _get(lambda _: asked.triangles())),
         Route("/api/result/courses", _get(lambda request: asked.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(asked.history), methods=["POST"]),
-        Route("/api/result/table", _post(asked.table), methods=["POST"]),
+        Route("/api/result/history", _post(asked.history, History), methods=["POST"]),
+        Route("/api/result/table", _post(asked.table, Table), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
     handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
@@ -156,13 +158,9 @@ def _get(answer: Answer) -> Callable[[Request], Any]:
     return endpoint
 
 
-def _post(act: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
+def _post(act: Callable[[Mapping[str, Any]], Any], kind: type[Body]) -> Callable[[Request], Any]:
     async def endpoint(request: Request) -> Response:
-        try:
-            asked = await request.json()
-        except ValueError:
-            raise FingerflowError("what was sent is no JSON") from None
-        return _response(await run_in_threadpool(act, asked))
+        return _response(await run_in_threadpool(act, body_of(await request.body(), kind)))
 
     return endpoint
 

@@ -1,6 +1,7 @@
 """Recordings that are damaged, cut short, incomplete or no files at all: named, flagged or refused, never guessed."""
 
 import os
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -208,6 +209,22 @@ def test_forces_that_were_never_written_are_refused(tmp_path):
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file["Fz [raw]"][30:] = 2000.0
     np.testing.assert_array_equal(open_forces(tmp_path / "a.h5").channels["Fz [raw]"], np.full(40, 2.0))
+
+
+@pytest.mark.parametrize("rate", [-1.0, 0.0, 2.3e-308, 1e300, np.nan, np.inf])
+def test_a_frame_rate_that_cannot_be_is_none(tmp_path, rate):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = GREY
+        file["x"].attrs["frame_rate"] = rate
+    with open_recording(tmp_path / "a.h5") as recording:
+        assert (recording.frame_rate, recording.times) == (None, None)
+        assert recording.warnings == (
+            f"the file states a frame rate of {rate:g} Hz, which cannot be; the recording has none",
+        )
+    with open_recording(tmp_path / "a.h5", frame_rate=300.0) as recording:
+        assert recording.times[-1] == pytest.approx(5 / 300)
+    with pytest.raises(FingerflowError, match=rf"a\.h5: frame_rate={re.escape(str(rate))} was given; it must lie"):
+        open_recording(tmp_path / "a.h5", frame_rate=rate)
 
 
 def test_floating_frames_that_cannot_be_read_are_nan(tmp_path):

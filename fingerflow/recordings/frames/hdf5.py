@@ -52,8 +52,6 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     stored_whole(frames, path)
     rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
     dtype = grey_dtype(frames.dtype, path)
-    if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise FingerflowError(f"{path}: attribute frame_rate is {rate}; it must be positive, or pass frame_rate=")
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
     lacking = _lacking(path, frames)

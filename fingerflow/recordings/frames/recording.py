@@ -204,6 +204,11 @@ class FileRecording(Recording):
         self._count, self._first_number = description.count, description.first_number
         self._frames, self._close_file = frames, close_file
         self.times = description.time_stamps
+        if self.frame_rate is not None and not possible_rate(self.frame_rate):
+            self.warnings += (
+                f"the file states a frame rate of {self.frame_rate:g} Hz, which cannot be; the recording has none",
+            )
+            self.frame_rate = self.times = None
         if self.times is None and self.frame_rate is not None:
             self.replace_rate(self.frame_rate)
 
@@ -304,6 +309,11 @@ def _steps(indices: Sequence[int]) -> set[int]:
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}
+
+
+def possible_rate(rate: float) -> bool:
+    """Return whether frames can follow each other at a rate in Hz, and their times differ and are finite."""
+    return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
