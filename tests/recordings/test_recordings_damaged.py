@@ -17,7 +17,7 @@ from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
-from tests.recordings.camera_files import write_photron, write_video
+from tests.recordings.camera_files import Cine, write_photron, write_video
 from tests.recordings.hdf5_index import damaged_indexes
 
 RNG = np.random.default_rng(23)
@@ -307,6 +307,100 @@ def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
     (tmp_path / "a.tif").write_bytes(data)
     with pytest.raises(FingerflowError, match="not one of its 1 frames is there whole"):
         open_recording(tmp_path / "a.tif")
+
+
+def test_pages_in_the_same_bytes_are_no_frames(tmp_path):
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in GREY:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False)
+    with tifffile.TiffFile(path) as file:
+        tag = file.pages[3].tags["StripOffsets"]
+        earlier = file.pages[1].dataoffsets[0]
+    with path.open("r+b") as file:
+        file.seek(tag.valueoffset)
+        file.write(struct.pack("<I", earlier + 8))
+    recording = open_recording(path)
+    recording.read()
+    assert dict(recording.unreadable) == dict.fromkeys((1, 3), "lies in the same bytes as another frame, or as itself")
+
+
+# Files that hold more than their headers state
+
+
+def fewer_mraw(folder: Path) -> Path:
+    return write_photron(folder, stored(MRAW_FRAMES), Total_Frame=4)
+
+
+def fewer_cine(folder: Path) -> Path:
+    pixels = [frame.tobytes() for frame in GREY]
+    data = bytearray(Cine(30, -20, pixels, 8, setup={"RealBPP": 8}).bytes())
+    struct.pack_into("<I", data, 20, 4)  # ImageCount
+    (folder / "a.cine").write_bytes(data)
+    return folder / "a.cine"
+
+
+def fewer_npy(folder: Path) -> Path:
+    np.save(folder / "a.npy", GREY)
+    (folder / "a.npy").write_bytes((folder / "a.npy").read_bytes().replace(b"(6, ", b"(4, "))
+    return folder / "a.npy"
+
+
+def fewer_pages(folder: Path) -> Path:
+    path = folder / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in GREY:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[3].offset + file.tiff.tagnosize + len(file.pages[3].tags) * file.tiff.tagsize
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(bytes(4))  # no page behind this one
+    return path
+
+
+def fewer_imagej(folder: Path) -> Path:
+    tifffile.imwrite(folder / "a.tif", GREY, imagej=True, metadata={"axes": "TYX"})
+    data = (folder / "a.tif").read_bytes()
+    (folder / "a.tif").write_bytes(data.replace(b"images=6\nframes=6", b"images=4\nframes=4"))
+    return folder / "a.tif"
+
+
+@pytest.mark.parametrize("fewer", [fewer_mraw, fewer_cine, fewer_npy, fewer_pages, fewer_imagej])
+def test_frames_behind_those_of_the_header_are_told(tmp_path, fewer):
+    recording = open_recording(fewer(tmp_path))
+    assert len(recording) == 4
+    (sentence,) = recording.warnings
+    assert re.match(r"the header states 4 frames, and the file holds \d more behind them, which are not read", sentence)
+
+
+def test_a_page_of_fewer_rows_than_are_stored_is_told(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", GREY[0], photometric="minisblack", metadata=None)
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        tag = file.pages[0].tags["ImageLength"]
+    with (tmp_path / "a.tif").open("r+b") as file:
+        file.seek(tag.valueoffset)
+        file.write(struct.pack("<H", 16))
+    recording = open_recording(tmp_path / "a.tif")
+    assert recording.frame_shape == (16, 30)
+    assert "a frame of 16 x 30 uint8 has 480 bytes, and the file states 600" in recording.warnings[0]
+
+
+def test_a_cine_without_its_setup_is_refused(tmp_path):
+    data = bytearray(Cine(30, -20, [frame.tobytes() for frame in GREY], 8).bytes())
+    struct.pack_into("<I", data, 28, 85)  # OffSetup
+    (tmp_path / "a.cine").write_bytes(data)
+    with pytest.raises(FingerflowError, match=r"a\.cine: SETUP, with rate and bit depth, is not at byte 85, as"):
+        open_recording(tmp_path / "a.cine")
+
+
+def test_a_header_without_its_save_step_says_so(tmp_path):
+    path = write_photron(tmp_path, stored(MRAW_FRAMES))
+    header = path.with_suffix(".cih")
+    header.write_bytes(header.read_bytes().replace(b"Save Step", b"Save_Step"))
+    recording = open_recording(path)
+    assert recording.frame_rate == 3000
+    assert recording.warnings == ("take 1.cih does not state 'Save Step': every recorded frame is taken to be stored",)
 
 
 # Photron

@@ -329,6 +329,13 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     )
 
 
+def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
+    """Return the warning for `left` bytes of a file behind its `count` frames, if they have room for another frame."""
+    more = left // frame_bytes
+    said = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
+    return (f"{said}: copy it again, or correct the header",) if more > 0 else ()
+
+
 def lossy_codec(name: str) -> str:
     """Return the warning for pixels that a lossy codec has changed.
 
