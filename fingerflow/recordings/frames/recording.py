@@ -96,6 +96,14 @@ class Recording(ABC):
         reading.
         """
 
+    @property
+    @abstractmethod
+    def doubtful(self) -> Mapping[int, str]:
+        """Return the frames in which the decoder reported an error that it could get over, by index, with its words.
+
+        Some are right, and some hold wrong pixels. Known after the frame was read, as `unreadable` is.
+        """
+
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of complete frames."""
@@ -201,6 +209,7 @@ class FileRecording(Recording):
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
+        self._doubtful: dict[int, str] = {}
         self._count, self._first_number = description.count, description.first_number
         self._frames, self._close_file = frames, close_file
         self.times = description.time_stamps
@@ -226,6 +235,10 @@ class FileRecording(Recording):
     @property
     def unreadable(self) -> Mapping[int, str]:
         return MappingProxyType(self._unreadable)
+
+    @property
+    def doubtful(self) -> Mapping[int, str]:
+        return MappingProxyType(self._doubtful)
 
     def _decode(self, index: int) -> Frames:
         """Return frame `index` (H, W), or raise DamagedFrame; the only method in which pixels are read."""
@@ -274,7 +287,13 @@ class _View(Recording):
 
     @property
     def unreadable(self) -> Mapping[int, str]:
-        known = self._file.unreadable
+        return self._of_view(self._file.unreadable)
+
+    @property
+    def doubtful(self) -> Mapping[int, str]:
+        return self._of_view(self._file.doubtful)
+
+    def _of_view(self, known: Mapping[int, str]) -> dict[int, str]:
         return {place: known[index] for place, index in enumerate(self._indices) if index in known} if known else {}
 
     def _read_frame(self, index: int) -> Frames:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -142,14 +143,20 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and the later frames that depend on it, up to the next key frame."""
+        """Mark a frame as unreadable, and those that may be made from it."""
         self._unreadable.setdefault(number, reason)
+        for other in self._made_from(number):
+            self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
+            self._cache.pop(other, None)
+
+    def _made_from(self, number: int) -> range:
+        """Return the frames that may be made from one: all that the decoder has not given yet, to the next key frame.
+
+        Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
+        """
         keys = self._index.keys
         place = bisect_right(keys, number)
-        end = keys[place] if place < len(keys) else len(self)
-        for later in range(number + 1, end):
-            self._unreadable.setdefault(later, f"is made from frame {number}, which {reason}")
-            self._cache.pop(later, None)
+        return range(min(self._next, number + 1), keys[place] if place < len(keys) else len(self))
 
     def _start_at(self, key: int) -> None:
         if self._container is None or key == 0:
@@ -169,13 +176,17 @@ class VideoRecording(FileRecording):
         while True:
             number = None
             try:
-                packet = next(packets, None)
-                if packet is None:
-                    return
-                number = self._index.numbers.get(packet.pts)
-                if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
-                    self._damaged(number, "has a wrong checksum")
-                frames = packet.decode()
+                with _reported_errors() as errors:
+                    packet = next(packets, None)
+                    if packet is None:
+                        return
+                    number = self._index.numbers.get(packet.pts)
+                    if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
+                        self._damaged(number, "has a wrong checksum")
+                    frames = packet.decode()
+                if errors and number is not None and number >= key:
+                    for one in (number, *self._made_from(number)):
+                        self._doubtful.setdefault(one, errors[0])
             except (av.FFmpegError, ValueError, MemoryError) as error:
                 if self._index.stamps is None:
                     raise FingerflowError(
@@ -244,6 +255,19 @@ class _Pixels:
             values = values[:, PACKED_LUMA[self.name]]
         result: Frames = (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
         return result
+
+
+@contextmanager
+def _reported_errors() -> Iterator[list[str]]:
+    """Collect what FFmpeg reports as an error to this thread; most decoders go on behind it and return a picture."""
+    level, found = av.logging.get_level(), []
+    av.logging.set_level(av.logging.ERROR)
+    try:
+        with av.logging.Capture() as logs:
+            yield found
+        found += [message.strip() for *_, message in logs]
+    finally:
+        av.logging.set_level(level)
 
 
 def _open(path: Path) -> Any:
