@@ -7,6 +7,7 @@ is refused when it is read.
 
 from __future__ import annotations
 
+import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -30,6 +31,7 @@ from fingerflow.schema.claimed_sizes import MOST_PIXELS
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
+_REPORTS = threading.Lock()  # FFmpeg has one log for all decoders
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 
@@ -259,15 +261,17 @@ class _Pixels:
 
 @contextmanager
 def _reported_errors() -> Iterator[list[str]]:
-    """Collect what FFmpeg reports as an error to this thread; most decoders go on behind it and return a picture."""
-    level, found = av.logging.get_level(), []
-    av.logging.set_level(av.logging.ERROR)
-    try:
-        with av.logging.Capture() as logs:
-            yield found
-        found += [message.strip() for *_, message in logs]
-    finally:
-        av.logging.set_level(level)
+    """Collect what FFmpeg reports as errors, in all threads of a decoder; most go on behind them with a picture."""
+    found: list[str] = []
+    with _REPORTS:
+        level = av.logging.get_level()
+        av.logging.set_level(av.logging.ERROR)
+        try:
+            with av.logging.Capture(local=False) as logs:
+                yield found
+            found += [message.strip() for *_, message in logs]
+        finally:
+            av.logging.set_level(level)
 
 
 def _open(path: Path) -> Any:
