@@ -160,7 +160,11 @@ def _power(folder: Path) -> Case:
     """What is on the disk in which order, by the calls of fsync."""
     path, order = folder / "a.txt", []
     path.write_text("before")
-    with mock.patch.object(os, "fsync", lambda _: order.append(path.read_text())):
+
+    def note(_: int) -> None:
+        order.append(path.read_text())
+
+    with mock.patch.object(os, "fsync", note):
         write_atomically(path, lambda part: part.write_text("after"))
     right = order == ["before", "after"]
     return Case("loss of power while a file is replaced", f"{len(order)} syncs", "2 syncs",
