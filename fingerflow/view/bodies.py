@@ -16,13 +16,13 @@ class Body(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class Edit(Body):
+class EditBody(Body):
     """Keys to set, with their values."""
 
     set: list[tuple[str, Any]]
 
 
-class Calibrate(Body):
+class CalibrateBody(Body):
     """Pictures to calibrate from."""
 
     ring: str | None = None
@@ -31,33 +31,33 @@ class Calibrate(Body):
     hole_radius_mm: FiniteFloat | None = None
 
 
-class Write(Body):
+class WriteBody(Body):
     """Where to write the scene."""
 
     to: str | None = None
     replace: bool = False
 
 
-class Process(Body):
+class ProcessBody(Body):
     """Whether to compute all variables."""
 
     all: bool = False
 
 
-class End(Body):
+class EndBody(Body):
     """Which run to end."""
 
     of: str
 
 
-class History(Body):
+class HistoryBody(Body):
     """Points whose history is shown."""
 
     key: str
     points: list[Number]
 
 
-class Table(Body):
+class TableBody(Body):
     """What a table is of."""
 
     of: str

@@ -18,7 +18,17 @@ from starlette.staticfiles import StaticFiles
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.view.binary_answer import plain
-from fingerflow.view.bodies import Body, Calibrate, Edit, End, History, Process, Table, Write, body_of
+from fingerflow.view.bodies import (
+    Body,
+    CalibrateBody,
+    EditBody,
+    EndBody,
+    HistoryBody,
+    ProcessBody,
+    TableBody,
+    WriteBody,
+    body_of,
+)
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.open_path import open_path
@@ -130,11 +140,11 @@ def application(session: Session) -> Starlette:
         Route("/api/points", _get(lambda _: asked.points())),
         Route("/api/forces", _get(lambda _: asked.forces())),
         Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(asked.edit, Edit), methods=["POST"]),
-        Route("/api/calibrate", _post(asked.calibrate, Calibrate), methods=["POST"]),
-        Route("/api/write", _post(asked.write, Write), methods=["POST"]),
-        Route("/api/process", _post(asked.process, Process), methods=["POST"]),
-        Route("/api/end", _post(asked.end, End), methods=["POST"]),
+        Route("/api/edit", _post(asked.edit, EditBody), methods=["POST"]),
+        Route("/api/calibrate", _post(asked.calibrate, CalibrateBody), methods=["POST"]),
+        Route("/api/write", _post(asked.write, WriteBody), methods=["POST"]),
+        Route("/api/process", _post(asked.process, ProcessBody), methods=["POST"]),
+        Route("/api/end", _post(asked.end, EndBody), methods=["POST"]),
         Route("/api/report", _post(asked.report, Body), methods=["POST"]),
         Route("/api/progress", _get(lambda request: asked.progress(request.query_params.get("of", "")))),
         Route("/report.html", _get(report)),
@@ -143,8 +153,8 @@ def application(session: Session) -> Starlette:
         Route("/api/result/range", _get(lambda request: asked.result_range(request.query_params.get("key", "")))),
         Route("/api/result/triangles", _get(lambda _: asked.triangles())),
         Route("/api/result/courses", _get(lambda request: asked.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(asked.history, History), methods=["POST"]),
-        Route("/api/result/table", _post(asked.table, Table), methods=["POST"]),
+        Route("/api/result/history", _post(asked.history, HistoryBody), methods=["POST"]),
+        Route("/api/result/table", _post(asked.table, TableBody), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
     handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
