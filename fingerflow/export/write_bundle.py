@@ -24,7 +24,7 @@ from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.verification_frames import cases, completed, feed
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
-from fingerflow.schema.unfinished import unfinished
+from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")
 
@@ -58,7 +58,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         }
         found = verify(recipe, part)
         _bundle(recipe, models, part)
-        part.replace(folder)
+        finish(part, folder)
     except OSError as error:
         raise FingerflowError(
             f"{folder} cannot be written ({error.strerror or error}); name another place, or make room there"

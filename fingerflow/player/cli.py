@@ -28,7 +28,7 @@ from fingerflow.player.stream_player import Player, Settings
 from fingerflow.player.stream_scene import contradictions, stream_settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
-from fingerflow.schema.unfinished import remove, unfinished
+from fingerflow.schema.unfinished import finish, remove, unfinished
 from fingerflow.tracker.frame_tracker import StreamTracker
 
 _LEAST = 1e-6  # frames/s (as in scenes) or s; below it the interval to the next frame exceeds the range of the clock
@@ -132,7 +132,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         part = unfinished(options.json)
         try:
             part.write_text(text + "\n", encoding="utf-8")
-            part.replace(options.json)
+            finish(part, options.json)
         except OSError as error:
             remove(part)
             raise PlayerError(

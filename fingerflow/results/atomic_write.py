@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.unfinished import remove, unfinished
+from fingerflow.schema.unfinished import finish, remove, unfinished
 
 MARK = "written by fingerflow"  # identifies files without structure of their own: pages, pictures, videos
 
@@ -62,7 +62,9 @@ def is_marked(path: Path) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Call ``write`` with a temporary path in the same folder, then rename it: a crash leaves no half-written file.
+    """Call ``write`` with a temporary path in the same folder, then rename it.
+
+    Neither a crash nor a loss of power leaves a half-written file: its content is on the disk before it has its name.
 
     Raises FingerflowError where the system does not allow writing.
     """
@@ -80,7 +82,7 @@ def written_atomically(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = unfinished(path)
         yield part
-        part.replace(path)
+        finish(part, path)
     except BaseException as error:
         if part is not None:
             remove(part)

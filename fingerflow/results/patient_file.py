@@ -66,19 +66,21 @@ class PatientFile:
         Raises:
             OSError: of the disk; a full disk raises only after half a minute.
         """
-        with self._lock:
-            # Do not retry with every record, up to a thousand times a second.
-            if self._since is not None and not wait and time.monotonic() - self._tried < _AGAIN:
-                return None
-            while self._kept:
+        while True:
+            with self._lock:
+                must_wait = wait or len(self._kept) > _MOST
+                # Do not retry with every record, up to a thousand times a second.
+                if self._since is not None and not must_wait and time.monotonic() - self._tried < _AGAIN:
+                    return None
                 try:
-                    del self._kept[: os.write(self._file, self._kept)]
+                    while self._kept:
+                        del self._kept[: os.write(self._file, self._kept)]
+                    return self._recover()
                 except OSError as error:
                     self._bear(error)
-                    if not wait and len(self._kept) <= _MOST:
+                    if not must_wait:
                         return None
-                    time.sleep(_AGAIN)
-            return self._recover()
+            time.sleep(_AGAIN)  # without the lock: other threads go on writing
 
     def sync(self) -> None:
         """Wait until all written data are on the disk."""

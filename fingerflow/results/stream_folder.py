@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.results.patient_file import PatientFile
-from fingerflow.schema.unfinished import remove, unfinished
+from fingerflow.schema.unfinished import finish, remove, unfinished
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import FRAME
 
@@ -88,7 +88,7 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
             file.write(",".join(columns) + "\n")
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
                 file.write(",".join(f"{value:.9g}" for value in row) + "\n")
-        part.replace(table)
+        finish(part, table)
     except OSError as error:
         raise PlayerError(
             f"{table}: cannot be written ({error.strerror}); name a new file where there is room"

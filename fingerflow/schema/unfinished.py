@@ -1,4 +1,4 @@
-"""Temporary paths for outputs that are still being written, and removal of those left by killed runs."""
+"""Temporary paths of outputs: their names, their renaming when complete, and removal of what killed runs have left."""
 
 from __future__ import annotations
 
@@ -27,6 +27,25 @@ def unfinished(path: Path) -> Path:
             if found and not _is_running(int(found[1])):
                 remove(other)
     return path.with_name(f".{stem}-{here}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
+
+
+def finish(part: Path, path: Path) -> None:
+    """Rename a complete temporary file or folder to its path, safe against loss of power.
+
+    The content is on the disk before the name, and the name before this returns. Raises OSError where the system
+    refuses.
+    """
+    for one in (*part.rglob("*"), part):
+        if one.is_file():
+            with one.open("r+b") as file:
+                os.fsync(file.fileno())
+    part.replace(path)
+    with contextlib.suppress(OSError):  # Windows opens no folders, and some network disks sync none
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def remove(path: Path) -> None:

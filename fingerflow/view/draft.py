@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Table as TomlTable
 
 from fingerflow.errors import FingerflowError
@@ -73,6 +74,11 @@ class Draft:
         """Return the values of the draft as plain TOML types."""
         return dict(self._document.unwrap())
 
+    def table(self, name: str) -> dict[str, Any]:
+        """Return the values of a table; none if it is missing, or is no table, which `problems` reports."""
+        found = self.values().get(name)
+        return found if isinstance(found, dict) else {}
+
     def kind(self) -> str:
         """Return the kind of the scene as the draft states it, else the default."""
         values = self.values()
@@ -96,7 +102,7 @@ class Draft:
         required.
 
         Raises:
-            FingerflowError: a parent of the key is not a table.
+            FingerflowError: a parent of the key is not a table, or TOML has no such value.
         """
         *tables, last = keys
         place: Any = self._document
@@ -111,7 +117,10 @@ class Draft:
             if not isinstance(place, TomlTable | dict):
                 raise FingerflowError(f"{'.'.join(keys)}: {name} is no table in {self.path}; correct it there")
         if value is not None:
-            place[last] = value
+            try:
+                place[last] = value
+            except TOMLKitError:
+                raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no value of TOML; correct it") from None
         elif last in place:
             del place[last]
             for outer, name in reversed(around):
@@ -126,7 +135,7 @@ class Draft:
         """
         if kind not in KINDS:
             raise FingerflowError(f"kind is {kind!r}: it should be one of {', '.join(KINDS)}")
-        views, known = self.values().get("views", {}), KINDS[kind]
+        views, known = self.table("views"), KINDS[kind]
         stated = "kind" in self._document
         if kind != default_kind(self.values()) or stated:
             if not stated:  # top-level keys must precede all tables
@@ -196,5 +205,5 @@ def _read(path: Path) -> str:
 def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)
-    except tomlkit.exceptions.TOMLKitError as error:
+    except TOMLKitError as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}; correct it there") from None

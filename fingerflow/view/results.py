@@ -147,9 +147,14 @@ class Results:
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """Return CSV text of one frame with one row a point, or a triangle if `shown` is a variable of triangles."""
+        """Return a CSV table of a frame with one row a point, or one a triangle if `shown` is of triangles."""
+        of = "point" if shown is None else (*self.data[self._name(shown)].dims, "")[1]
+        if of not in ("point", "triangle") or "position" not in self.data:
+            raise FingerflowError(
+                f"{self.path} has no table of {shown or 'points'}: choose a map of points or triangles"
+            )
         _, arrays = self.frame(frame, shown)
-        if shown is not None and self.data[self._name(shown)].dims[1] == "triangle":
+        if of == "triangle":
             corners = self.triangles()
             middle = arrays["position"].astype(float)[corners].mean(axis=1)
             columns = {"triangle": np.arange(len(corners)), "x (mm)": middle[:, 0], "y (mm)": middle[:, 1]}
@@ -185,7 +190,7 @@ class Results:
 
     def _name(self, key: str) -> str:
         name = key.partition(":")[0]
-        if name not in self.data:
+        if name not in self.data.data_vars:
             raise FingerflowError(f"{self.path} has no {name!r}: it holds {', '.join(sorted(map(str, self.data)))}")
         return name
 

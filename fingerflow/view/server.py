@@ -1,5 +1,6 @@
 """HTTP server of the page; a session answers its requests."""
 
+import re
 import socket
 import threading
 from collections.abc import Callable, Mapping
@@ -17,6 +18,17 @@ from starlette.staticfiles import StaticFiles
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variables import VARIABLES
+from fingerflow.view.bodies import (
+    Body,
+    CalibrateBody,
+    EditBody,
+    EndBody,
+    HistoryBody,
+    ProcessBody,
+    TableBody,
+    WriteBody,
+    body_of,
+)
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.open_path import open_path
@@ -98,8 +110,8 @@ def application(session: Session) -> Starlette:
 
     def number(request: Request, name: str) -> int:
         text = request.query_params.get(name, "")
-        if not text.lstrip("-").isdigit():
-            raise FingerflowError(f"{name}={text!r} is no whole number")
+        if not re.fullmatch(r"-?[0-9]{1,18}", text):
+            raise FingerflowError(f"{name}={text[:40]!r} is no number of a frame")
         return int(text)
 
     def frame(request: Request) -> bytes:
@@ -127,12 +139,12 @@ def application(session: Session) -> Starlette:
         Route("/api/points", _get(lambda _: session.points())),
         Route("/api/forces", _get(lambda _: session.forces())),
         Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(session.edit), methods=["POST"]),
-        Route("/api/calibrate", _post(session.calibrate), methods=["POST"]),
-        Route("/api/write", _post(session.write), methods=["POST"]),
-        Route("/api/process", _post(session.process), methods=["POST"]),
-        Route("/api/end", _post(session.end), methods=["POST"]),
-        Route("/api/report", _post(session.report), methods=["POST"]),
+        Route("/api/edit", _post(session.edit, EditBody), methods=["POST"]),
+        Route("/api/calibrate", _post(session.calibrate, CalibrateBody), methods=["POST"]),
+        Route("/api/write", _post(session.write, WriteBody), methods=["POST"]),
+        Route("/api/process", _post(session.process, ProcessBody), methods=["POST"]),
+        Route("/api/end", _post(session.end, EndBody), methods=["POST"]),
+        Route("/api/report", _post(session.report, Body), methods=["POST"]),
         Route("/api/progress", _get(lambda request: session.progress(request.query_params.get("of", "")))),
         Route("/report.html", _get(report)),
         Route("/api/result", _get(lambda _: session.result())),
@@ -140,8 +152,8 @@ def application(session: Session) -> Starlette:
         Route("/api/result/range", _get(lambda request: session.result_range(request.query_params.get("key", "")))),
         Route("/api/result/triangles", _get(lambda _: session.triangles())),
         Route("/api/result/courses", _get(lambda request: session.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(session.history), methods=["POST"]),
-        Route("/api/result/table", _post(session.table), methods=["POST"]),
+        Route("/api/result/history", _post(session.history, HistoryBody), methods=["POST"]),
+        Route("/api/result/table", _post(session.table, TableBody), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
     handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
@@ -155,13 +167,9 @@ def _get(answer: Answer) -> Callable[[Request], Any]:
     return endpoint
 
 
-def _post(act: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
+def _post(act: Callable[[Mapping[str, Any]], Any], kind: type[Body]) -> Callable[[Request], Any]:
     async def endpoint(request: Request) -> Response:
-        try:
-            asked = await request.json()
-        except ValueError:
-            raise FingerflowError("what was sent is no JSON") from None
-        return _response(await run_in_threadpool(act, asked))
+        return _response(await run_in_threadpool(act, body_of(await request.body(), kind)))
 
     return endpoint
 

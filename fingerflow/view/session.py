@@ -160,7 +160,7 @@ class Session:
 
         with self._lock:
             draft = self._drafted()
-            folder, given = draft.path.parent, draft.values().get("views", {})
+            folder, given = draft.path.parent, draft.table("views")
             if not asked.get("ring"):
                 raise FingerflowError("name the picture of the ring: it gives the scale")
             ring, target, background = (
@@ -345,20 +345,20 @@ class Session:
         return self._draft
 
     def _channels(self) -> list[str]:
-        """Return the column names of the draft's force file; none if it cannot be read, which `forces` reports."""
-        file = self._drafted().values().get("forces", {}).get("file")
+        """Return the columns of the draft's force file; none if it cannot be read, which `forces` reports."""
+        file = self._drafted().table("forces").get("file")
         path = self._drafted().path.parent / file if isinstance(file, str) and file else None
         try:
             state = None if path is None else (path, path.stat().st_mtime_ns)
             if state != self._columns[0]:
                 self._columns = (state, [] if path is None else force_columns(path))
-        except (FingerflowError, OSError):
+        except (FingerflowError, OSError, ValueError):  # ValueError: a name that no file can have
             self._columns = (None, [])
         return self._columns[1]
 
     def _pictures_of_draft(self) -> Pictures:
         draft = self._drafted()
-        said = draft.values().get("recording", {})
+        said = draft.table("recording")
         frames, rate = said.get("frames"), said.get("frame_rate")
         if not isinstance(frames, str):
             raise FingerflowError(f"{draft.path}: recording.frames names no recording")
@@ -434,7 +434,7 @@ def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer
 
 
 def _calibration_picture(draft: Draft) -> Path | None:
-    file = draft.values().get("calibration", {}).get("file")
+    file = draft.table("calibration").get("file")
     picture = (draft.path.parent / file).with_suffix(".png") if isinstance(file, str) and file else None
     return picture if picture is not None and picture.is_file() else None
 
@@ -446,8 +446,8 @@ def _same_frames(result: Path, scene: Scene) -> bool:
 
 
 def _value_of(value: Any) -> Any:
-    """Convert a value sent by the page: TOML text is parsed, and kept as text if it is invalid."""
-    if not isinstance(value, dict):
+    """Return a value of the page; TOML text is parsed, and kept as text if it is invalid."""
+    if not isinstance(value, dict) or "toml" not in value:
         return value
     try:
         return tomlkit.parse(f"value = {value['toml']}")["value"]

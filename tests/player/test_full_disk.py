@@ -97,6 +97,20 @@ def test_at_the_end_and_with_much_in_memory_it_waits(path: Path, disk: Disk, mon
     assert path.read_bytes() == b"0123456789ab"
 
 
+def test_other_threads_write_while_it_waits(path: Path, disk: Disk) -> None:
+    file = PatientFile(path)
+
+    def write() -> None:
+        assert not file._lock.locked()
+        file.write(b"b")
+        disk.left = 100
+
+    disk.asleep, disk.left = write, 0
+    file.write(b"a")
+    file.flush(wait=True)
+    assert path.read_bytes() == b"ab"
+
+
 def test_other_errors_are_not_borne(path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> int:
         raise OSError(errno.EIO, os.strerror(errno.EIO))

@@ -58,6 +58,24 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
     played = stream.run("--source", str(stream.folder / "frames.avi"))
     np.testing.assert_array_equal(areas, np.arange(4) * 25)
     np.testing.assert_array_equal(played.results.records["real_contact_area"], areas)
+    assert "damaged or cut" not in played.said
+
+
+def test_a_video_that_is_cut_says_so(stream: Stream) -> None:
+    cv2 = pytest.importorskip("cv2")
+    path = stream.folder / "cut.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30, (2 * WIDTH, HEIGHT), False)
+    if not video.isOpened():
+        pytest.skip("this OpenCV cannot write a lossless video")
+    for number in range(40):
+        video.write(frame(contact_px=10 * number))
+    video.release()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    played = stream.run("--source", str(path))
+    count = len(played.results.records)
+    assert 1 < count < 39
+    assert f"cut.avi: ends after {count} of 40 frames, as it is damaged or cut; copy it again" in played.said
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Recordings that are damaged, cut short, incomplete or no files at all: named, flagged or refused, never guessed."""
 
 import os
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -16,7 +17,8 @@ from test_recordings_video import COUNT, frames_of
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_forces, open_recording
-from tests.recordings.camera_files import write_photron, write_video
+from tests.recordings.camera_files import Cine, write_photron, write_video
+from tests.recordings.hdf5_index import damaged_indexes
 
 RNG = np.random.default_rng(23)
 GREY = RNG.integers(1, 256, (6, 20, 30)).astype(np.uint8)
@@ -173,6 +175,58 @@ def test_a_damaged_chunk_is_its_frames(tmp_path):
     np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"compression": "gzip"}, {"fletcher32": True}, {"compression": "gzip", "shuffle": True, "fletcher32": True}],
+)
+def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
+    said = {}
+    for done in damaged_indexes(tmp_path / "a.h5", GREY, **options):
+        try:
+            with open_recording(tmp_path / "a.h5") as recording:
+                frames = recording.read()
+                right = [np.array_equal(frame, one) for frame, one in zip(frames, GREY, strict=True)]
+                said[done] = set(np.flatnonzero(~np.array(right))) - set(recording.unreadable)
+        except FingerflowError as error:
+            said[done] = str(error)
+    assert [done for done, wrong in said.items() if isinstance(wrong, set) and wrong] == []
+    assert "index of /x is damaged: two chunks lie in the same bytes; copy" in said["address of a chunk shifted"]
+    assert "chunk (9, 0, 0) is outside its grid" in said["place of a chunk outside the grid"]
+    if "fletcher32" in options:  # HDF5 crashes on these
+        for short in range(4):
+            assert f"chunk (2, 0, 0) of {short} bytes lacks its checksum" in said[f"size of a chunk {short}"]
+
+
+def test_forces_that_were_never_written_are_refused(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"] = np.arange(40) / 1000
+        file["time"].attrs["units"] = "s"
+        normal = file.create_dataset("Fz [raw]", (40,), "f8", chunks=(10,))
+        normal.attrs["units"] = "mN"
+        normal[:30] = 2000.0
+    with pytest.raises(FingerflowError, match=r"a\.h5: /Fz \[raw\] \(40,\) has no values from \(30,\) on .*copy"):
+        open_forces(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["Fz [raw]"][30:] = 2000.0
+    np.testing.assert_array_equal(open_forces(tmp_path / "a.h5").channels["Fz [raw]"], np.full(40, 2.0))
+
+
+@pytest.mark.parametrize("rate", [-1.0, 0.0, 2.3e-308, 1e300, np.nan, np.inf])
+def test_a_frame_rate_that_cannot_be_is_none(tmp_path, rate):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = GREY
+        file["x"].attrs["frame_rate"] = rate
+    with open_recording(tmp_path / "a.h5") as recording:
+        assert (recording.frame_rate, recording.times) == (None, None)
+        assert recording.warnings == (
+            f"the file states a frame rate of {rate:g} Hz, which cannot be; the recording has none",
+        )
+    with open_recording(tmp_path / "a.h5", frame_rate=300.0) as recording:
+        assert recording.times[-1] == pytest.approx(5 / 300)
+    with pytest.raises(FingerflowError, match=rf"a\.h5: frame_rate={re.escape(str(rate))} was given; it must lie"):
+        open_recording(tmp_path / "a.h5", frame_rate=rate)
+
+
 def test_floating_frames_that_cannot_be_read_are_nan(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         frames = file.create_dataset("x", (3, 4, 5), "f4", chunks=(1, 4, 5))
@@ -255,6 +309,100 @@ def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
         open_recording(tmp_path / "a.tif")
 
 
+def test_pages_in_the_same_bytes_are_no_frames(tmp_path):
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in GREY:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False)
+    with tifffile.TiffFile(path) as file:
+        tag = file.pages[3].tags["StripOffsets"]
+        earlier = file.pages[1].dataoffsets[0]
+    with path.open("r+b") as file:
+        file.seek(tag.valueoffset)
+        file.write(struct.pack("<I", earlier + 8))
+    recording = open_recording(path)
+    recording.read()
+    assert dict(recording.unreadable) == dict.fromkeys((1, 3), "lies in the same bytes as another frame, or as itself")
+
+
+# Files that hold more than their headers state
+
+
+def fewer_mraw(folder: Path) -> Path:
+    return write_photron(folder, stored(MRAW_FRAMES), Total_Frame=4)
+
+
+def fewer_cine(folder: Path) -> Path:
+    pixels = [frame.tobytes() for frame in GREY]
+    data = bytearray(Cine(30, -20, pixels, 8, setup={"RealBPP": 8}).bytes())
+    struct.pack_into("<I", data, 20, 4)  # ImageCount
+    (folder / "a.cine").write_bytes(data)
+    return folder / "a.cine"
+
+
+def fewer_npy(folder: Path) -> Path:
+    np.save(folder / "a.npy", GREY)
+    (folder / "a.npy").write_bytes((folder / "a.npy").read_bytes().replace(b"(6, ", b"(4, "))
+    return folder / "a.npy"
+
+
+def fewer_pages(folder: Path) -> Path:
+    path = folder / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in GREY:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[3].offset + file.tiff.tagnosize + len(file.pages[3].tags) * file.tiff.tagsize
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(bytes(4))  # no page behind this one
+    return path
+
+
+def fewer_imagej(folder: Path) -> Path:
+    tifffile.imwrite(folder / "a.tif", GREY, imagej=True, metadata={"axes": "TYX"})
+    data = (folder / "a.tif").read_bytes()
+    (folder / "a.tif").write_bytes(data.replace(b"images=6\nframes=6", b"images=4\nframes=4"))
+    return folder / "a.tif"
+
+
+@pytest.mark.parametrize("fewer", [fewer_mraw, fewer_cine, fewer_npy, fewer_pages, fewer_imagej])
+def test_frames_behind_those_of_the_header_are_told(tmp_path, fewer):
+    recording = open_recording(fewer(tmp_path))
+    assert len(recording) == 4
+    (sentence,) = recording.warnings
+    assert re.match(r"the header states 4 frames, and the file holds \d more behind them, which are not read", sentence)
+
+
+def test_a_page_of_fewer_rows_than_are_stored_is_told(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", GREY[0], photometric="minisblack", metadata=None)
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        tag = file.pages[0].tags["ImageLength"]
+    with (tmp_path / "a.tif").open("r+b") as file:
+        file.seek(tag.valueoffset)
+        file.write(struct.pack("<H", 16))
+    recording = open_recording(tmp_path / "a.tif")
+    assert recording.frame_shape == (16, 30)
+    assert "a frame of 16 x 30 uint8 has 480 bytes, and the file states 600" in recording.warnings[0]
+
+
+def test_a_cine_without_its_setup_is_refused(tmp_path):
+    data = bytearray(Cine(30, -20, [frame.tobytes() for frame in GREY], 8).bytes())
+    struct.pack_into("<I", data, 28, 85)  # OffSetup
+    (tmp_path / "a.cine").write_bytes(data)
+    with pytest.raises(FingerflowError, match=r"a\.cine: SETUP, with rate and bit depth, is not at byte 85, as"):
+        open_recording(tmp_path / "a.cine")
+
+
+def test_a_header_without_its_save_step_says_so(tmp_path):
+    path = write_photron(tmp_path, stored(MRAW_FRAMES))
+    header = path.with_suffix(".cih")
+    header.write_bytes(header.read_bytes().replace(b"Save Step", b"Save_Step"))
+    recording = open_recording(path)
+    assert recording.frame_rate == 3000
+    assert recording.warnings == ("take 1.cih does not state 'Save Step': every recorded frame is taken to be stored",)
+
+
 # Photron
 
 
@@ -325,6 +473,27 @@ def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_pa
     # H.264 has no checksum: measured 41 of 60 flagged, 11 not to be seen. Before, every one was read as pixels.
     assert flagged >= 12
     assert silent <= 10
+
+
+def test_frames_in_which_the_decoder_reports_errors_are_doubtful(tmp_path):
+    """Of frames that are made from others in both directions."""
+    path = write_video(tmp_path / "a.mov", frames_of(8), "libx264", "yuv420p", g="12", bf="3", qp="10")
+    with open_recording(path) as recording:
+        clean = recording.read()
+        assert dict(recording.doubtful) == {}
+    whole = path.read_bytes()
+    doubtful, silent = 0, 0
+    for place in np.random.default_rng(8).integers(200, len(whole) * 8 // 10, 40):
+        path.write_bytes(whole)
+        with open_recording(flipped(path, int(place))) as recording:
+            read = recording.read()
+            wrong = {n for n in range(COUNT) if not np.array_equal(read[n], clean[n])}
+            doubtful += bool(recording.doubtful)
+            silent += bool(wrong - set(recording.unreadable) - set(recording.doubtful))
+            assert set(recording[5:].doubtful) == {n - 5 for n in recording.doubtful if n >= 5}
+    # What is left decodes as other pixels without an error. Of the same 40 files 12 were silent before.
+    assert doubtful >= 3
+    assert silent <= 9
 
 
 @pytest.mark.parametrize(

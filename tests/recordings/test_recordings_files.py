@@ -113,7 +113,6 @@ def test_a_file_truncated_beyond_use_is_refused(tmp_path, name, kept, named):
         ("a.h5", np.zeros(9), {}, r"/trial/frames \(9,\)"),
         ("a.h5", np.zeros((2, 4, 4, 3), np.uint8), {}, "Colour"),
         ("a.h5", np.zeros((2, 4, 4), np.int32), {}, "int32"),
-        ("a.h5", GREY8, {"attributes": {"frame_rate": -1.0}}, "frame_rate is -1"),
         ("a.h5", GREY8, {"attributes": {"bit_depth": 12}}, "bit_depth is 12"),
         ("a.h5", GREY8, {"attributes": {"bit_depth": "many"}}, "bit_depth of /trial/frames .*should be one number"),
         ("a.tif", np.zeros((5, 8, 9, 3), np.uint8), {"photometric": "rgb"}, "colour"),

@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+import stat
 import subprocess
 import sys
 import textwrap
@@ -202,6 +203,33 @@ def write(part):
 
 write_atomically(Path(sys.argv[1]), write)
 """
+
+
+def test_the_content_is_on_the_disk_before_the_name_and_the_name_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, synced = tmp_path / "a.txt", []
+    path.write_text("before")
+
+    def sync(file: int) -> None:
+        is_folder = stat.S_ISDIR(os.fstat(file).st_mode)
+        synced.append(("folder" if is_folder else os.pread(file, 99, 0).decode(), path.read_text()))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_atomically(path, lambda part: part.write_text("after"))
+    assert synced == [("after", "before"), ("folder", "after")]
+
+
+def test_a_disk_that_fails_at_last_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    path = tmp_path / "a.txt"
+    path.write_text("before")
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(FingerflowError, match=r"a\.txt cannot be written \(Input/output error\); name another place"):
+        write_atomically(path, lambda part: part.write_text("after"))
+    assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [("a.txt", "before")]
 
 
 def test_what_a_killed_run_left_goes_with_the_next_of_its_kind(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import RecordedFrames, Source
+
+log = logging.getLogger("fingerflow.player")
 
 
 def open_video(path: Path, first: int) -> Source:
@@ -25,11 +28,14 @@ def open_video(path: Path, first: int) -> Source:
         raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
     for _ in range(first):
         capture.grab()
-    return RecordedFrames(_frames(cv2, capture), capture.release)
+    return RecordedFrames(_frames(cv2, capture, path, first), capture.release)
 
 
-def _frames(cv2: Any, capture: Any) -> Iterator[Array]:
-    """Yield the frames (H, W) of a video, converted to grey."""
+def _frames(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
+    """Yield the frames (H, W) from `number` on, converted to grey; log where they are fewer than the file states."""
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     while (read := capture.read())[0]:
-        frame = read[1]
+        frame, number = read[1], number + 1
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+    if number < stated - 1:  # some containers state only their duration, from which OpenCV rounds
+        log.warning("%s: ends after %d of %d frames, as it is damaged or cut; copy it again", path, number, stated)

@@ -8,7 +8,7 @@ import h5py
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.force_table import ForceTable
-from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
 
@@ -25,9 +25,8 @@ def read_table(path: Path) -> ForceTable:
             if (rate := number_attribute(item, "sample_rate", path)) is not None:
                 rates.add(rate)
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
-                stored_whole(item, path)
                 unit = item.attrs.get("units", item.attrs.get("unit"))
-                table.add(name, item[()], unit.decode("latin-1") if isinstance(unit, bytes) else unit)
+                table.add(name, read_whole(item, path), unit.decode("latin-1") if isinstance(unit, bytes) else unit)
 
         take("/", file)
         file.visititems(take)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, surplus
 
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
@@ -64,12 +64,17 @@ def open_frames(path: Path) -> FileRecording:
     header = data[:offsets_at].data
     table = np.frombuffer(data, "<i8", min(count, (size - offsets_at) // 8), offsets_at)
     setup = _Setup(header[setup_at:])
+    if bytes(header[setup_at + 140 : setup_at + 142]) != b"ST":
+        raise FingerflowError(
+            f"{path}: SETUP, with rate and bit depth, is not at byte {setup_at}, as its header says; copy it again"
+        )
     layout = _layout(path, compression, BITMAP_INFO_HEADER.unpack_from(data.data, image_header), setup)
     blocks = _tagged_blocks(header, setup_at + (setup["Length"] or 0))
     whole = _whole_frames(table, layout.image_bytes, data)
     if whole == 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
 
+    behind = size - int(table[:whole].max()) - 8 - layout.image_bytes  # an annotation is shorter than a frame
     warnings = [
         f"{name} is set: a player would turn the picture; the frames here are as the sensor recorded them"
         for name in ("bFlipH", "bFlipV", "Rotate")
@@ -92,7 +97,7 @@ def open_frames(path: Path) -> FileRecording:
         first_number=start,
         has_trigger=True,
         time_stamps=times,
-        warnings=(*warnings, *complaints),
+        warnings=(*warnings, *complaints, *(surplus(behind, layout.image_bytes, count) if whole == count else ())),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
     )
     return FileRecording(description, partial(_frame, path, data, table[:whole], layout))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import h5py
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
 from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
 from fingerflow.recordings.guard.file_checks import reading
 
@@ -31,7 +33,18 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
         file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
         description, frames = _describe(path, file, dataset)
         opened.pop_all()
-    return FileRecording(description, frames.__getitem__, file.close)
+    return FileRecording(description, partial(_frame, frames), file.close)
+
+
+def _frame(frames: h5py.Dataset, index: int) -> Frames:
+    """Return one frame, and raise what HDF5 says of a chunk that its index does not lead to; else that is its fill."""
+    frame: Frames = frames[index]
+    if frames.chunks is not None and not frames.is_virtual and np.any(unset := frame == frames.fillvalue):
+        step, height, width = frames.chunks
+        for row, column in product(range(0, frame.shape[0], height), range(0, frame.shape[1], width)):
+            if unset[row : row + height, column : column + width].all():
+                frames.id.read_direct_chunk((index - index % step, row, column))
+    return frame
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
@@ -39,8 +52,6 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     stored_whole(frames, path)
     rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
     dtype = grey_dtype(frames.dtype, path)
-    if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise FingerflowError(f"{path}: attribute frame_rate is {rate}; it must be positive, or pass frame_rate=")
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
     lacking = _lacking(path, frames)
@@ -84,8 +95,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return for each frame whether a chunk of its pixels is missing from the file, as a mask (N,)."""
-    # `stored_whole` has checked that the stated number of frames fits the file.
+    """Return which frames lack a chunk; `open_hdf5` has checked the index, `stored_whole` the number of frames."""
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking
@@ -93,11 +103,10 @@ def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bo
     if frames.id.get_num_chunks() == np.prod(grid, dtype=object):
         return lacking
     written = np.zeros(grid[0], np.int64)
-    step, size = frames.chunks[0], path.stat().st_size
+    step = frames.chunks[0]
 
     def count(chunk: Any) -> None:
-        if 0 <= chunk.chunk_offset[0] < frames.shape[0] and chunk.byte_offset + chunk.size <= size:
-            written[chunk.chunk_offset[0] // step] += 1
+        written[chunk.chunk_offset[0] // step] += 1
 
     frames.id.chunk_iter(count)
     lacking[:] = np.repeat(written < grid[1] * grid[2], step)[: len(lacking)]

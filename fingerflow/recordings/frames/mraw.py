@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, surplus
 from fingerflow.recordings.guard.file_checks import check_file
 
 HEADERS = (".cihx", ".cih")
@@ -62,6 +62,10 @@ def open_frames(path: Path) -> FileRecording:
             f"{layout.frame_bytes} bytes and there are {count}"
         )
     # One in "Save Step" recorded frames was kept, so the rate of the stored frames is "Record Rate" / "Save Step".
+    if not header.text("Save Step", " ").strip():
+        header.warnings += (
+            f"{header_path.name} does not state 'Save Step': every recorded frame is taken to be stored",
+        )
     step = header.integer("Save Step", 1) or 1
     if step < 1 or count < 1:
         raise FingerflowError(f"{header_path}: 'Save Step' is {step} and 'Total Frame' {count}; correct the header")
@@ -79,7 +83,10 @@ def open_frames(path: Path) -> FileRecording:
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
-        warnings=header.warnings,
+        warnings=(
+            *header.warnings,
+            *surplus(pixels.stat().st_size - count * layout.frame_bytes, layout.frame_bytes, count),
+        ),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype
+from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype, surplus
 from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
@@ -33,7 +33,8 @@ def open_frames(path: Path) -> FileRecording:
         colour = " Colour frames have to be made grey first." if len(shape) == 4 else ""
         raise FingerflowError(f"{path}: its array is {shape}; frames are (N, H, W), or (H, W) for one.{colour}")
     count, height, width = shape if len(shape) == 3 else (1, *shape)
-    available = (path.stat().st_size - start) // (height * width * dtype.itemsize)
+    frame_bytes, stored = height * width * dtype.itemsize, path.stat().st_size - start
+    available = stored // frame_bytes
     if available == 0 or (by_columns and available < count):
         raise FingerflowError(f"{path}: {path.stat().st_size} bytes are too few for its {count} frames; copy it again")
     whole = min(count, available)
@@ -45,5 +46,6 @@ def open_frames(path: Path) -> FileRecording:
         stated_count=count,
         frame_shape=(height, width),
         dtype=dtype,
+        warnings=surplus(stored - count * frame_bytes, frame_bytes, count),
     )
     return FileRecording(description, frames)

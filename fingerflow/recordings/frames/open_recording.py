@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import os
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import FileRecording, Recording
+from fingerflow.recordings.frames.recording import FileRecording, Recording, possible_rate
 from fingerflow.recordings.guard.file_checks import check_file, reading
 
 # Readers are imported on first use: video and HDF5 libraries take a second to load.
@@ -36,10 +35,8 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
     complete frame. A file that only ends too early opens with its complete frames and a sentence in `warnings`; a frame
     that is damaged by itself is listed in `unreadable`.
     """
-    if frame_rate is not None and not (math.isfinite(frame_rate) and frame_rate > 0):
-        raise FingerflowError(
-            f"{path}: frame_rate={frame_rate} was given; it must be a positive number of frames per second"
-        )
+    if frame_rate is not None and not possible_rate(frame_rate):
+        raise FingerflowError(f"{path}: frame_rate={frame_rate} was given; it must lie between 1e-06 and 1e+09 Hz")
     file, _, inside = str(path).partition("::")
     location = Path(file)
     if os.path.isdir(location):  # False, not an error, without permission

@@ -99,6 +99,14 @@ class Recording(ABC):
         reading.
         """
 
+    @property
+    @abstractmethod
+    def doubtful(self) -> Mapping[int, str]:
+        """Return the frames in which the decoder reported an error that it could get over, by index, with its words.
+
+        Some are right, and some hold wrong pixels. Known after the frame was read, as `unreadable` is.
+        """
+
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of frames, without incomplete ones."""
@@ -204,9 +212,15 @@ class FileRecording(Recording):
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
+        self._doubtful: dict[int, str] = {}
         self._count, self._first_number = description.count, description.first_number
         self._frames, self._close_file = frames, close_file
         self.times = description.time_stamps
+        if self.frame_rate is not None and not possible_rate(self.frame_rate):
+            self.warnings += (
+                f"the file states a frame rate of {self.frame_rate:g} Hz, which cannot be; the recording has none",
+            )
+            self.frame_rate = self.times = None
         if self.times is None and self.frame_rate is not None:
             self.replace_rate(self.frame_rate)
 
@@ -231,6 +245,10 @@ class FileRecording(Recording):
     @property
     def unreadable(self) -> Mapping[int, str]:
         return MappingProxyType(self._unreadable)
+
+    @property
+    def doubtful(self) -> Mapping[int, str]:
+        return MappingProxyType(self._doubtful)
 
     def _decode(self, index: int) -> Frames:
         """Read the pixels of frame `index` as (H, W), or raise DamagedFrame; no other method reads pixels."""
@@ -279,7 +297,13 @@ class _View(Recording):
 
     @property
     def unreadable(self) -> Mapping[int, str]:
-        known = self._file.unreadable
+        return self._of_view(self._file.unreadable)
+
+    @property
+    def doubtful(self) -> Mapping[int, str]:
+        return self._of_view(self._file.doubtful)
+
+    def _of_view(self, known: Mapping[int, str]) -> dict[int, str]:
         return {place: known[index] for place, index in enumerate(self._indices) if index in known} if known else {}
 
     def _read_frame(self, index: int) -> Frames:
@@ -316,6 +340,11 @@ def _steps(indices: Sequence[int]) -> set[int]:
     return {after - before for before, after in pairwise(indices)}
 
 
+def possible_rate(rate: float) -> bool:
+    """Return whether frames can follow each other at a rate in Hz, and their times differ and are finite."""
+    return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
+
+
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     """Check that a data type can hold grey values, and return it.
 
@@ -327,6 +356,13 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
         f"{path}: pixels are {dtype}, but frames are unsigned integers of 8 to 32 bits or floating point. "
         "Save them as uint8, uint16 or float32."
     )
+
+
+def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
+    """Return the warning for `left` bytes of a file behind its `count` frames, if they have room for another frame."""
+    more = left // frame_bytes
+    said = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
+    return (f"{said}: copy it again, or correct the header",) if more > 0 else ()
 
 
 def lossy_codec(name: str) -> str:

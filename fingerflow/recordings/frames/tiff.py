@@ -8,6 +8,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype, surplus
 from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
@@ -34,8 +35,8 @@ def open_frames(path: Path) -> FileRecording:
     try:
         with ExitStack() as opened, reading(path, "TIFF"):
             file = opened.enter_context(tifffile.TiffFile(path))
-            _check_chain(path, file)
-            description, frames = _describe(path, file, file.series, complaints.messages)
+            headers = _check_chain(path, file)
+            description, frames = _describe(path, file, headers, complaints.messages)
             if isinstance(frames, np.ndarray):
                 return FileRecording(description, frames)
             opened.pop_all()
@@ -64,8 +65,8 @@ class _Complaints(logging.Filter):
         return False
 
 
-def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
-    """Check that the linked list of pages in a TIFF file has no loop; raise FingerflowError for one.
+def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
+    """Return the positions of the headers of pages, each of which states the next; raise FingerflowError for a loop.
 
     tifffile checks for loops only at the hundredth page, and not at all where it takes pages one by one.
     """
@@ -84,14 +85,16 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
         handle.seek(offset + layout.tagnosize + tags * layout.tagsize)
         following = handle.read(layout.offsetsize)
         if len(following) < layout.offsetsize:  # the file ends, which tifffile reports
-            return
+            break
         offset = struct.unpack(layout.offsetformat, following)[0]
+    return seen
 
 
 def _describe(
-    path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]
+    path: Path, file: tifffile.TiffFile, headers: set[int], complaints: list[str]
 ) -> tuple[Description, Sequence[Any] | Frames]:
-    """Return the metadata of a TIFF stack and either a memory map of its frames, or its pages to decode one by one."""
+    """Return the header and either a memory map of the frames, or their pages, which are decoded one by one."""
+    series: Any = file.series
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
     kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
@@ -115,6 +118,7 @@ def _describe(
     imagej = file.imagej_metadata or {}
     count = math.prod(leading) * len(series)
     one_piece = alone and stack.dataoffset is not None
+    frame_bytes = height * width * dtype.itemsize
     if count == 1 and one_piece:
         # ImageJ stores contiguous pixels, then the list of pages; if only that is cut off, the count is still known.
         count = max(count, int(imagej.get("images", 1)))
@@ -122,19 +126,31 @@ def _describe(
     frames: Sequence[Any] | Frames = []
     damaged: dict[int, str] = {}
     if one_piece:
-        whole = min(count, (size - stack.dataoffset) // (height * width * dtype.itemsize))
+        whole = min(count, (size - stack.dataoffset) // frame_bytes)
         shape = (max(whole, 0), height, width)
         if whole > 0:
             frames = np.memmap(path, dtype.newbyteorder(file.byteorder), "r", stack.dataoffset, shape)
+        end = stack.dataoffset + count * frame_bytes
     else:
         frames = [one for each in series for one in each.pages]
-        states = [_damage(one, size, height * width * dtype.itemsize) for one in frames]
+        states = [_damage(one, size, frame_bytes) for one in frames]
         whole = max((number + 1 for number, state in enumerate(states) if not state), default=0)
         frames = frames[:whole]
         damaged = {number: state for number, state in enumerate(states[:whole]) if state}
+        pieces = _pieces({number: one for number, one in enumerate(frames) if number not in damaged})
+        for (begin, behind, number), (following, *_, other) in pairwise(pieces):
+            if begin < following < behind:
+                damaged |= dict.fromkeys((number, other), "lies in the same bytes as another frame, or as itself")
+        end = max((behind for _, behind, _ in pieces), default=0)
     if whole <= 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
-    warnings = []
+    stored = sum(page.databytecounts)
+    warnings = list(surplus(min((at for at in headers if at >= end), default=size) - end, max(stored, 1), count))
+    if page.compression == tifffile.COMPRESSION.NONE and not page.is_tiled and stored != frame_bytes:
+        warnings.append(
+            f"a frame of {height} x {width} {dtype} has {frame_bytes} bytes, and the file states {stored}: its header "
+            "is damaged, or not of these pixels"
+        )
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
     if complaints and whole == count:
@@ -156,6 +172,15 @@ def _describe(
             metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
         ),
         frames,
+    )
+
+
+def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
+    """Return the strips and tiles of pages as (first byte, byte behind it, number of the page), in order."""
+    return sorted(
+        (offset, offset + length, number)
+        for number, page in pages.items()
+        for offset, length in zip(page.dataoffsets, page.databytecounts, strict=True)
     )
 
 

@@ -7,9 +7,11 @@ is refused when it is read.
 
 from __future__ import annotations
 
+import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -29,6 +31,7 @@ from fingerflow.schema.claimed_sizes import MOST_PIXELS
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
+_REPORTS = threading.Lock()  # FFmpeg has one log for all decoders
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 
@@ -143,14 +146,20 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and also later frames predicted from it, up to the next key frame."""
+        """Mark a frame as unreadable, and those that may be made from it."""
         self._unreadable.setdefault(number, reason)
+        for other in self._made_from(number):
+            self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
+            self._cache.pop(other, None)
+
+    def _made_from(self, number: int) -> range:
+        """Return the frames that may be made from one: all that the decoder has not given yet, to the next key frame.
+
+        Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
+        """
         keys = self._index.keys
         place = bisect_right(keys, number)
-        end = keys[place] if place < len(keys) else len(self)
-        for later in range(number + 1, end):
-            self._unreadable.setdefault(later, f"is made from frame {number}, which {reason}")
-            self._cache.pop(later, None)
+        return range(min(self._next, number + 1), keys[place] if place < len(keys) else len(self))
 
     def _start_at(self, key: int) -> None:
         if self._container is None or key == 0:
@@ -170,13 +179,17 @@ class VideoRecording(FileRecording):
         while True:
             number = None
             try:
-                packet = next(packets, None)
-                if packet is None:
-                    return
-                number = self._index.numbers.get(packet.pts)
-                if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
-                    self._damaged(number, "has a wrong checksum")
-                frames = packet.decode()
+                with _reported_errors() as errors:
+                    packet = next(packets, None)
+                    if packet is None:
+                        return
+                    number = self._index.numbers.get(packet.pts)
+                    if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
+                        self._damaged(number, "has a wrong checksum")
+                    frames = packet.decode()
+                if errors and number is not None and number >= key:
+                    for one in (number, *self._made_from(number)):
+                        self._doubtful.setdefault(one, errors[0])
             except (av.FFmpegError, ValueError, MemoryError) as error:
                 if self._index.stamps is None:
                     raise FingerflowError(
@@ -245,6 +258,21 @@ class _Pixels:
             values = values[:, PACKED_LUMA[self.name]]
         result: Frames = (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
         return result
+
+
+@contextmanager
+def _reported_errors() -> Iterator[list[str]]:
+    """Collect what FFmpeg reports as errors, in all threads of a decoder; most go on behind them with a picture."""
+    found: list[str] = []
+    with _REPORTS:
+        level = av.logging.get_level()
+        av.logging.set_level(av.logging.ERROR)
+        try:
+            with av.logging.Capture(local=False) as logs:
+                yield found
+            found += [message.strip() for *_, message in logs]
+        finally:
+            av.logging.set_level(level)
 
 
 def _open(path: Path) -> Any:

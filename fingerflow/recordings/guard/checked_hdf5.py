@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.file_checks import check_file, plausible_size, reading
 
@@ -63,6 +64,21 @@ def stored_whole(values: h5py.Dataset, path: Path) -> None:
                 f"{path}: {values.name} {values.shape} should have {claimed} bytes, and the file of {size} cannot hold "
                 f"them; {again}"
             )
+
+
+def read_whole(values: h5py.Dataset, path: Path) -> np.ndarray[Any, Any]:
+    """Return all values; raise FingerflowError where a chunk was never written: HDF5 returns its fill value there."""
+    stored_whole(values, path)
+    if values.chunks is not None and not values.is_virtual:
+        for at in product(*(range(0, length, step) for length, step in zip(values.shape, values.chunks, strict=True))):
+            try:
+                values.id.read_direct_chunk(at)
+            except (OSError, RuntimeError) as error:
+                raise FingerflowError(
+                    f"{path}: {values.name} {values.shape} has no values from {at} on ({first_line(error)}); copy the "
+                    "file again, or export it anew"
+                ) from error
+    return np.asarray(values[()])
 
 
 def _sources_there(values: h5py.Dataset, path: Path) -> None:

@@ -9,9 +9,11 @@ import base64
 import importlib
 import io
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 CPU_SECONDS = 10.0  # CPU time for one file; a thousand objects take 0.1 s
@@ -20,6 +22,7 @@ VIDEO_BYTES = 3 << 28  # replaces MEMORY_BYTES for videos: decoders keep frames
 MOST_COMPRESSED = 1032  # as in `schema.claimed_sizes`, which this script does not import
 MOST_OBJECTS = 100_000
 MOST_ATTRIBUTE_BYTES = 1 << 26
+SHUFFLE, FLETCHER32, CHECKSUM_BYTES = 2, 3, 4  # numbers of HDF5's filters that keep the length, but for a checksum
 
 
 def main() -> None:
@@ -48,7 +51,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Traverse objects, attributes and chunk index of an HDF5 file, without values; return what is wrong, or ""."""
+    """Read objects, attributes and indexes of chunks of an HDF5 file, without values; return what is wrong, or ""."""
     import h5py
 
     count = 0
@@ -63,7 +66,7 @@ def through_hdf5(path: str) -> str:
             for name in ("shape", "dtype", "chunks", "compression", "fillvalue", "is_virtual", "external"):
                 getattr(item, name)
             if item.chunks is not None:
-                item.id.get_num_chunks()
+                wrong = _wrong_chunks(item, os.path.getsize(path))
         return wrong
 
     with h5py.File(path, "r") as file:
@@ -135,6 +138,41 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     "TDMS": (through_tdms, ("nptdms",)),
     "video": (through_video, ("av",)),
 }
+
+
+def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
+    """Return what is wrong with the index of chunks of a data set; HDF5 itself reads zeros or bytes of others then.
+
+    Each chunk has a place of its own in the grid and bytes of its own in the file, as many as its filters leave it.
+    Chunks that were never written are allowed. HDF5 crashes on a chunk that is shorter than its checksum.
+    """
+    layout, shape, steps = values.id.get_create_plist(), values.shape, values.chunks
+    filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
+    plain_bytes = math.prod(steps) * values.dtype.itemsize
+    places: set[tuple[int, ...]] = set()
+    spans: list[tuple[int, int]] = []
+
+    def check(chunk: Any) -> str | None:
+        at, begin, end = chunk.chunk_offset, chunk.byte_offset, chunk.byte_offset + chunk.size
+        applied = [kind for bit, kind in enumerate(filters) if not chunk.filter_mask >> bit & 1]
+        expected = plain_bytes + CHECKSUM_BYTES * (FLETCHER32 in applied)
+        if at in places or any(one % step or one >= most for one, step, most in zip(at, steps, shape, strict=True)):
+            return f"chunk {at} is outside its grid, or there twice"
+        if begin <= 0 or end > file_bytes:
+            return f"chunk {at} is at bytes {begin} to {end} of a file of {file_bytes}"
+        if FLETCHER32 in filters and (FLETCHER32 not in applied or chunk.size < CHECKSUM_BYTES):
+            return f"chunk {at} of {chunk.size} bytes lacks its checksum"
+        if set(applied) <= {SHUFFLE, FLETCHER32} and chunk.size != expected:
+            return f"chunk {at} has {chunk.size} of {expected} bytes"
+        places.add(at)
+        spans.append((begin, end))
+        return None
+
+    wrong = values.id.chunk_iter(check)
+    spans.sort()
+    if not wrong and any(end > following for (_, end), (following, _) in pairwise(spans)):
+        wrong = "two chunks lie in the same bytes"
+    return f"the index of {values.name} is damaged: {wrong}" if wrong else None
 
 
 def _attributes(item: Any) -> str | None:

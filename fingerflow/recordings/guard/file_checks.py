@@ -35,7 +35,7 @@ def check_file(path: Path) -> int:
             return found.st_size
     except FileNotFoundError:
         raise FingerflowError(f"{path}: there is no such file (looked in {Path.cwd()})") from None
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise FingerflowError(
             f"{path}: cannot be opened ({first_line(error)}); make it readable, or copy it to a place where it is"
         ) from error

@@ -13,6 +13,7 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, LOADING
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
@@ -176,3 +177,9 @@ def test_without_forces_no_bad_frame_is_the_one_with_most_contact(clean: Clean, 
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:
     with pytest.raises(FingerflowError, match=r"frames\.npy: no frame can be measured: 120 dark frames\. Check"):
         process(with_frames(clean, np.full_like(clean.frames, 8), tmp_path), ["real_contact_area"])
+
+
+def test_errors_that_the_decoder_got_over_are_told(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FileRecording, "doubtful", {3: "error while decoding MB 3 0", 40: "no frame!"})
+    said = warnings_of(process(clean.scene, ["frame_status"]))
+    assert "the decoder reported errors at 3, 40 (error while decoding MB 3 0); their pixels may be wrong" in said

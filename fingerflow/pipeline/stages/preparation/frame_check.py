@@ -126,6 +126,13 @@ class FrameCheckStage(Stage):
                 self.warnings.append(
                     f"{said}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
                 )
+        doubtful = self.inputs.recording.doubtful
+        if doubtful:
+            numbers = np.array(sorted(doubtful)) + self.inputs.scene.recording.first_frame
+            self.warnings.append(
+                f"{self.inputs.recording.path}: the decoder reported errors at {_listed(numbers)} "
+                f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"
+            )
         if not self.usable.any():
             counts = ", ".join(
                 f"{int((status == value).sum())} {said}" for value, said in _SAID.items() if value in status

@@ -1,0 +1,10 @@
+"""No damaged file, no request and no loss of power gives a wrong number in silence."""
+
+import pytest
+
+from tests.silent.files import cases
+
+
+@pytest.mark.long
+def test_no_file_is_wrong_in_silence() -> None:
+    assert [one for one in cases() if one.verdict != "told"] == []

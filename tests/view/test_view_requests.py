@@ -1,0 +1,82 @@
+"""Requests that no page sends are answered in a sentence, and none ends in an error of the server."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from test_view_guard import ask
+
+from fingerflow.view.draft import Draft
+from fingerflow.view.server import Served
+
+BODIES = [
+    b"", b"{", b"[]", b"5", b"null", b"[" * 100_000, b"\xff\xfe", b"{}", b'{"set": 5}', b'{"set": [5]}',
+    b'{"set": [["a"]]}', b'{"set": [["recording.frame_rate", {"a": 1}]]}', b'{"set": [["a.b", [[1, "a"], null]]]}',
+    b'{"set": [["recording.frames", "\\u0000"]]}', b'{"set": [["recording.frames", "\\ud800"]]}',
+    b'{"ring": 5}', b'{"ring": "frames.npy", "hole_radius_mm": "x"}', b'{"to": []}', b'{"to": "\\u0000"}',
+    b'{"key": "position", "points": 5}', b'{"key": "position", "points": [99999999999999999999999]}',
+    b'{"of": "frame", "frame": "x"}', b'{"of": "frame", "frame": 1, "shown": "real_contact_area"}', b'{"of": 5}',
+    b'{"of": "courses", "keys": 5}',
+]  # fmt: skip
+POSTS = ("edit", "calibrate", "write", "process", "end", "result/history", "result/table")
+GETS = ("frame?frame=--5", "frame?frame=%C2%B2", f"result/frame?frame={'1' * 5000}", "result/range?key=xy")
+# Values that the scene's rules report; every answer about the draft is one of the page all the same.
+VALUES = [
+    ["recording", 5], ["forces", 3], ["calibration", 7], ["views", [1]], ["recording.frame_rate", 2.3e-308],
+    ["recording.frame_rate", 1e308], ["recording.frame_rate", {"toml": "nan"}], ["forces.file", "a" * 5000],
+    ["calibration.file", "."],
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def served(processed: Path) -> Iterator[Served]:
+    with Served(processed / "scene.toml") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def own(served: Served) -> dict[str, str]:
+    """The headers of a page of ours."""
+    headers = ask(served, served.address.partition(str(served.port))[2])[1]
+    return {"Cookie": headers["set-cookie"].partition(";")[0], "X-Fingerflow": "1"}
+
+
+def test_what_no_page_sends_is_refused_in_a_sentence(served: Served, own: dict[str, str]) -> None:
+    told = 0
+    for path in POSTS:
+        for body in BODIES:
+            status, _, said = ask(served, f"/api/{path}", "POST", body.decode("latin-1"), **own)
+            assert status in (200, 422), (path, body[:60], status)
+            if status == 422:
+                told += bool(json.loads(said)["error"])
+    assert told > 140
+    for path in GETS:
+        status, _, said = ask(served, f"/api/{path}", **own)
+        assert (status, bool(json.loads(said)["error"])) == (422, True), path
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: value[0])
+def test_values_that_cannot_be_are_problems_of_the_draft(
+    served: Served, own: dict[str, str], value: list[object]
+) -> None:
+    draft = served.session._draft
+    assert draft is not None
+    served.session._draft = Draft.of_file(draft.path)
+    status, _, said = ask(served, "/api/edit", "POST", json.dumps({"set": [value]}), **own)
+    facts = json.loads(said)
+    assert status == 200
+    assert facts["problems"] or facts["recording_error"]
+    for path in ("setup", "frame?frame=1&contact", "points", "forces", "calibration.png"):
+        assert ask(served, f"/api/{path}", **own)[0] in (200, 404, 422), path
+
+
+def test_names_that_no_file_can_have_are_problems_of_the_draft(served: Served, own: dict[str, str]) -> None:
+    """TOML has a zero byte too, in a file that was edited by hand."""
+    draft = served.session._draft
+    assert draft is not None
+    draft = served.session._draft = Draft.of_file(draft.path)
+    draft.set(("recording", "frames"), "\0")
+    draft.set(("forces", "file"), "\0")
+    status, _, said = ask(served, "/api/setup", **own)
+    assert (status, "cannot be opened (embedded null byte)" in json.loads(said)["recording_error"]) == (200, True)
