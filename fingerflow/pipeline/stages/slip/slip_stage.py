@@ -39,8 +39,6 @@ _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased f
 _SPEED_S = 0.05  # s over which a speed is measured
 _FRAMES = 64  # in memory at a time
 _FEWEST_POINTS = 3  # slipping points for a direction
-# RMS error of the critical area, on the twelve trials of `bench slip` whose true one is above 0 and below 0.15.
-_CRITICAL_STD = 0.04
 _LEAST_LIMIT = 2.0  # standard deviations of a displacement: below, one in twenty sticking points exceeds the limit
 
 
@@ -288,7 +286,7 @@ class SlipStage(Stage):
             reason = "the displacement is known in too little of the contact in every frame"
         if reason or forces is None:
             return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self._ratio))
-        verdict = judge_trial(self._ratio, forces, self.inputs.times, _CRITICAL_STD)
+        verdict = judge_trial(self._ratio, forces, self.inputs.times)
         if verdict.outcome == "inconclusive" and self._edge.any():
             left = f"; the contact reaches the edge of the view in {int(self._edge.sum())} frames, whose d² is NaN"
             return replace(verdict, reason=verdict.reason + left)
