@@ -81,6 +81,10 @@ def draw_trial(
         name = f"collapse, {verdict.collapse_ms:.0f} ms"
         axes.plot(load[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
         axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
+        deviation = verdict.critical_area_std
+        axes.axhspan(
+            verdict.critical_area - deviation, verdict.critical_area + deviation, color=RED, alpha=0.1, linewidth=0
+        )
     if fit is not None and fit.identified:
         _draw_curve(axes, fit.mu_s, max(fit.mu_k, 0.0), _named(fit.mu_s, fit.mu_k), INK)
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)

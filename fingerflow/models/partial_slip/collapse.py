@@ -17,8 +17,11 @@ _DURATIONS_S = np.arange(0, 1.001, 0.02)  # s, candidate durations of the collap
 _BENDS = np.array([0, 0.01, 0.1, 1])[:, None]  # e, candidate shapes from a square root to a line
 _RATE_S = 0.15  # s before the collapse over which the loading rate is measured
 _STEADY = 0.01  # relative deviation of T/N from a constant or a ramp
+_ABOVE = (0.0, 0.005, 0.01, 0.015)  # candidate relative loads above the last one, at which an area has faded
 _AREA_ERROR = 0.006  # least deviation of d^2 in a frame: of pictures that are measured without visible noise
-_AREA_STD = 0.015  # RMS error of `area` on simulated and rendered trials, beyond what the fit shows
+# RMS errors of area and duration on simulated and rendered trials, beyond what the fit shows.
+_AREA_STD = 0.015
+_DURATION_STD = 0.01  # s
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
     divided by the correlation of residuals from frame to frame.
 
     The alternative is an area that fades: c = 0, and the load continues from t_c to t_c + D at the rate it had
-    before, while the measured one is within its deviation of 1 %. `evidence` is the difference of the least chi^2 of both.
+    before, while the measured one is within its deviation of 1 %; so is the load at which the area has faded,
+    between two frames. `evidence` is the difference of the least chi^2 of both.
 
     Args:
         area: (F,) smoothed d^2, NaN where it is not known.
@@ -91,9 +95,6 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
     rate = (1 - np.interp(begin - _RATE_S, t, highest) / level) / _RATE_S
     ramp = np.where(t > begin, 1 + rate * np.minimum(t - begin, duration), relative)
-    fading = _shape(ramp / (1 + rate * duration)) * (t < end)
-    scale = np.maximum(fading @ s, 0) / np.maximum((fading**2).sum(-1), 1e-12)
-    faded = s - scale[..., None] * fading
     missing = np.where(during, ramp - relative, 0)
 
     squared = (residual**2).sum(-1)
@@ -102,7 +103,12 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
     share = (1 - correlation) / (1 + correlation)
     variance = max(float(best @ best) / (t.size - 5), _AREA_ERROR**2)
     collapses = share * (squared / variance + ((rise / _STEADY) ** 2).sum(-1))
-    fades = share * ((faded**2).sum(-1) / variance + ((missing / _STEADY) ** 2).sum(-1))
+    fades = math.inf
+    for above in _ABOVE:
+        fading = _shape(ramp / (1 + rate * duration + above)) * (t < end)
+        faded = _least_squares(np.zeros_like(falling), fading, s)[1]
+        chi = share * ((faded**2).sum(-1) / variance + ((missing / _STEADY) ** 2).sum(-1))
+        fades = min(fades, float(chi.min()) + (above / _STEADY) ** 2)
     weights = np.exp((collapses.min() - collapses) / 2)
     weights /= weights.sum()
 
@@ -119,9 +125,9 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
         rate=speed,
         rate_std=math.hypot(speed_std, _AREA_STD * mean(1 / lasting)[0]),
         duration=mean(duration[..., 0])[0],
-        duration_std=math.hypot(mean(duration[..., 0])[1], step / math.sqrt(12)),
+        duration_std=math.hypot(mean(duration[..., 0])[1], _DURATION_STD),
         begin=mean(begin[..., 0])[0],
-        evidence=float(fades.min() - collapses.min()),
+        evidence=fades - float(collapses.min()),
     )
 
 
@@ -139,6 +145,6 @@ def _least_squares(first: Values, second: Values, values: Values) -> tuple[Value
     safe = np.where(regular, determinant, 1)
     a, b = (av * bb - bv * ab) / safe, (bv * aa - av * ab) / safe
     alone_a, alone_b = av / np.maximum(aa, 1e-12), bv / np.maximum(bb, 1e-12)
-    only_a, only_b = ~regular | (b < 0), regular & (a < 0)
+    only_a, only_b = (~regular & (aa > 0)) | (b < 0), (aa == 0) | (regular & (a < 0))
     a, b = np.where(only_a, alone_a, np.where(only_b, 0, a)), np.where(only_a, 0, np.where(only_b, alone_b, b))
     return np.asarray(a), values - a[..., None] * first - b[..., None] * second

@@ -29,7 +29,7 @@ _LARGEST_NOISE = CORRIDOR / 2  # standard deviation of T/N from frame to frame
 _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 _LEAST_ZERO = 0.01  # d^2 that counts as 0 where no noise is seen
 _ZERO_STD = 4.0  # standard deviations of the smoothed d^2 that count as 0
-_LEAST_EVIDENCE = 6.6  # chi^2 by which a collapse explains d^2 better than fading: reached by chance in 1 %
+_LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fading: 2.4 standard deviations
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
 
     `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
     collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse explains
-    d^2 better than fading by a chi^2 of 6.6. Otherwise it diminishes; it is inconclusive where d^2 exceeds 0.05 but not
+    d^2 better than fading by a chi^2 of 6. Otherwise it diminishes; it is inconclusive where d^2 exceeds 0.05 but not
     its deviation.
 
     `printed_outcome` is the rule of Terekhov & Hayward 2011, section 3: the largest d^2 while T/N stays within 5 % of its
     value just before the complete loss of adhesion; a minimal area exists if that is above 0.05. There the paper's
-    line for equal coefficients, d^2 = 1 - T/(mu N), enters the corridor, so the line itself diminishes. d^2 is
-    completely lost, and exceeds 0.05, up to its noise, `zero_area`.
+    line for equal coefficients, d^2 = 1 - T/(mu N), enters the corridor, so the line itself diminishes. The d^2 at the
+    loss and the largest one are known up to noise, `zero_area` each, so the limit is 0.05 and twice that.
 
     `model_outcome` corrects that limit: the line is misprinted (see `stuck_area`), and a fading area is still
     (0.05)^(1/2) = 0.224 there. By equation 5 the d^2 there is c + 0.224 (1 - c), where c is the critical one. The area
@@ -195,7 +195,7 @@ def _judged(found: TrialVerdict, area: Values, load: Values, when: Values, run: 
         found,
         outcome=outcome,
         reason=f"critical d² of {critical:.2f} ± {collapse.area_std:.2f}, {against}",
-        printed_outcome=_compared(largest - found.zero_area),
+        printed_outcome=_compared(largest - 2 * found.zero_area),
         model_outcome=_compared(model),
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
