@@ -21,11 +21,11 @@ model's curve. Two trials of each with --quick.
   too large by 0.01 in all frames, half of `within_002`; offset_5, the offset of d² that moves the ratio by 5 %;
 - cpu_s: of `process`, one thread.
 
-The rows `all` and `linear, all` count: verdicts, percent of all frames, the worst of all, and the percent of the trials with a ratio
-whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So 5 % in all
-trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures of real
-fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method on its
-own model.
+The rows `all` and `linear, all` count: verdicts, percent of all frames, the worst of all, and the percent of the trials
+with a ratio whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So
+5 % in all trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures of
+real fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method on
+its own model.
 """
 
 import json

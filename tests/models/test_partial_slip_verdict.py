@@ -1,4 +1,4 @@
-"""The verdict of a trial: by the change point, by the printed corridor rule, by the model, and what cannot be judged."""
+"""The verdict of a trial: by the change point, as printed, by the model, and what cannot be judged."""
 
 from dataclasses import asdict
 
@@ -126,7 +126,7 @@ def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
 
 @pytest.mark.parametrize("linear", [True, False])
 def test_a_hundred_random_trials(linear: bool) -> None:
-    """At least 95 right of the straight lines and of the model's curves, and d^2 and duration within their deviations."""
+    """At least 95 right of straight lines and of the model's curves; d^2 and duration within their deviations."""
     wrong, model_wrong, areas, times, errors = [], 0, [], [], []
     for seed in range(100):
         trial, truth = random_trial(seed, linear)

@@ -113,7 +113,9 @@ def test_the_count_is_the_papers() -> None:
         "as printed: vanishes abruptly 3, diminishes 0, inconclusive 1"
     )
     line = verdict_line(trials[3])
-    assert line.startswith("one/scene.toml: inconclusive (as printed: inconclusive; by the model: inconclusive; no full slip")
+    assert line.startswith(
+        "one/scene.toml: inconclusive (as printed: inconclusive; by the model: inconclusive; no full slip"
+    )
     assert "nan" not in line
 
 

@@ -54,11 +54,11 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
         d^2 = c + b f(H / H(t_c)),   f(h) = (1 - h + e)^(1/2) - e^(1/2)     up to t_c
         d^2 = c (1 - (t - t_c) / D)                                         from t_c to t_c + D
 
-    The shape before t_c ranges from a square root (e = 0) to a line (e large), so no friction law is assumed. Equation 5
-    of Terekhov & Hayward (2011) is contained: it makes T/N a parabola in d^2. c and b, 0 or more, follow by least squares
-    for each t_c, D and e of a grid. Means and deviations are over the grid, with weights exp(-chi^2 / 2). chi^2 is
-    the sum of the squared residuals of d^2 and of the rise of T/N above H(t_c), which has a deviation of 1 %. It is
-    divided by the correlation of residuals from frame to frame.
+    The shape before t_c ranges from a square root (e = 0) to a line (e large), so no friction law is assumed. It
+    contains equation 5 of Terekhov & Hayward (2011), by which T/N is a parabola in d^2. For each t_c, D and e of a
+    grid, c and b follow by least squares, both 0 or more. chi^2 sums the squared residuals of d^2, and of T/N above
+    H(t_c), which has a deviation of 1 %. It is reduced by the correlation of residuals from frame to frame. Means and
+    deviations are taken over the grid, with weights exp(-chi^2 / 2).
 
     The alternative is an area that fades: c = 0, and the load continues from t_c to t_c + D at the rate it had
     before, while the measured one is within its deviation of 1 %; so is the load at which the area has faded,
@@ -137,7 +137,7 @@ def _shape(relative: Values) -> Values:
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:
-    """Return the coefficient (G, E) of `first` and the residuals (G, E, F) of a fit in both; no coefficient is below 0."""
+    """Fit `values` (F,) by two functions with coefficients of 0 or more; return the first and residuals (G, E, F)."""
     aa, ab, bb = (first**2).sum(-1), (first * second).sum(-1), (second**2).sum(-1)
     av, bv = first @ values, second @ values
     determinant = aa * bb - ab**2

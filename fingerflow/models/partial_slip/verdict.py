@@ -29,6 +29,7 @@ _LARGEST_NOISE = CORRIDOR / 2  # standard deviation of T/N from frame to frame
 _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 _LEAST_ZERO = 0.01  # d^2 that counts as 0 where no noise is seen
 _ZERO_STD = 4.0  # standard deviations of the smoothed d^2 that count as 0
+_LARGEST_STD = 2.0  # standard deviations by which the largest of several d^2 exceeds the true one
 _LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fading: 2.4 standard deviations
 
 
@@ -42,7 +43,7 @@ class TrialVerdict:
         printed_outcome: outcome of the paper's rule, by `corridor_area`.
         model_outcome: outcome by `model_area`.
         loss_frame: index of the first frame from which on d^2 is 0 up to its noise, `zero_area`.
-        zero_area: d^2 that is not distinguished from 0.
+        zero_area: d^2 that is not distinguished from 0; `area_noise`, standard deviation of the smoothed d^2.
         loss_load_ratio: T/N just before the loss.
         corridor_frames: first and last index of the run of frames before the loss with T/N inside the corridor.
         corridor_area: largest d^2 in that run; `corridor_ms`, time from that frame to the loss.
@@ -65,6 +66,7 @@ class TrialVerdict:
     model_outcome: Outcome = "inconclusive"
     loss_frame: int = -1
     zero_area: float = math.nan
+    area_noise: float = math.nan
     loss_load_ratio: float = math.nan
     corridor_frames: tuple[int, int] = (-1, -1)
     corridor_area: float = math.nan
@@ -94,14 +96,14 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
     """Decide whether a trial has a minimal adhesion area, by three rules.
 
     `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
-    collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse explains
-    d^2 better than fading by a chi^2 of 6. Otherwise it diminishes; it is inconclusive where d^2 exceeds 0.05 but not
-    its deviation.
+    collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse
+    explains d^2 better than fading by a chi^2 of 6. Otherwise it diminishes; it is inconclusive where d^2 exceeds 0.05
+    but not its deviation.
 
-    `printed_outcome` is the rule of Terekhov & Hayward 2011, section 3: the largest d^2 while T/N stays within 5 % of its
-    value just before the complete loss of adhesion; a minimal area exists if that is above 0.05. There the paper's
-    line for equal coefficients, d^2 = 1 - T/(mu N), enters the corridor, so the line itself diminishes. The d^2 at the
-    loss and the largest one are known up to noise, `zero_area` each, so the limit is 0.05 and twice that.
+    `printed_outcome` is the rule of Terekhov & Hayward 2011, section 3: the largest d^2 while T/N stays within 5 % of
+    its value just before the complete loss of adhesion; a minimal area exists if that is above 0.05. There the paper's
+    line for equal coefficients, d^2 = 1 - T/(mu N), enters the corridor, so the line itself diminishes. At the loss d^2
+    is 0 up to `zero_area`, and the largest value has an error of two deviations; the limit is raised by both.
 
     `model_outcome` corrects that limit: the line is misprinted (see `stuck_area`), and a fading area is still
     (0.05)^(1/2) = 0.224 there. By equation 5 the d^2 there is c + 0.224 (1 - c), where c is the critical one. The area
@@ -132,12 +134,13 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
     raw, area, load = area, _smoothed(area, width), _smoothed(load, width)
     if np.nanmax(area) < 0.5:
         return replace(found, reason=f"the contact never sticks: d² is {np.nanmax(area):.2f} at most, under 0.5")
-    zero = _zero_area(raw, area, width)
+    noise = _area_noise(raw, area, width)
+    zero = max(_LEAST_ZERO, _ZERO_STD * noise)
     loss = _complete_loss(area, zero)
     if loss is None:
         last = area[np.isfinite(area)][-1]
         return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, over {zero:.2f}, its noise")
-    found = replace(found, loss_frame=loss, zero_area=zero)
+    found = replace(found, loss_frame=loss, zero_area=zero, area_noise=noise)
 
     just_before = load[(when >= when[loss] - _REFERENCE_S) & (when < when[loss])]
     if not np.isfinite(just_before).any():
@@ -195,7 +198,7 @@ def _judged(found: TrialVerdict, area: Values, load: Values, when: Values, run: 
         found,
         outcome=outcome,
         reason=f"critical d² of {critical:.2f} ± {collapse.area_std:.2f}, {against}",
-        printed_outcome=_compared(largest - 2 * found.zero_area),
+        printed_outcome=_compared(largest - found.zero_area - _LARGEST_STD * found.area_noise),
         model_outcome=_compared(model),
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
@@ -237,11 +240,11 @@ def _smoothed(values: Values, width: int) -> Values:
     return result
 
 
-def _zero_area(raw: Values, smoothed: Values, width: int) -> float:
-    """Return the smoothed d^2 that noise alone may reach, from the noise of the frames that stick in part."""
+def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
+    """Return the standard deviation of the smoothed d^2, from the frames that stick in part; 0 if there are too few."""
     noise = frame_noise(raw[(smoothed > 0.05) & (smoothed < 0.95)])
-    deviation = math.sqrt(math.pi / 2 / width) * noise  # of a median of independent values
-    return max(_LEAST_ZERO, _ZERO_STD * deviation) if math.isfinite(deviation) else _LEAST_ZERO
+    # Of a median of independent values.
+    return math.sqrt(math.pi / 2 / width) * noise if math.isfinite(noise) else 0.0
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
