@@ -44,7 +44,7 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return the verdicts by the change point, by the printed rule and by the model, with their numbers, as one line."""
+    """Return the verdicts by the change point, as printed and by the model, with their numbers, as one line."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):

@@ -45,8 +45,8 @@ def row(name: str, verdict: str, frames: int, unknown: float, within: float | No
     }
     worst = None if within is None else 0.1
     return {
-        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True, "frames": frames, "unknown": unknown,
-        "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
+        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True,
+        "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
     }  # fmt: skip
 
 
