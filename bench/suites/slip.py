@@ -10,7 +10,8 @@ model's curve. Two trials of each with --quick.
 - verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it
   is not; wrong where it says the other; none where it is "inconclusive". `critical` is that area, `critical_found` the
   measured one, `found` the verdict and `why` its reason; by_area: whether the measured area alone, without regard to
-  its evidence, lies on the right side of the limit; by_model: whether `model_outcome` is right;
+  its evidence, lies on the right side of the limit; by_model, as_printed: whether `model_outcome`,
+  `printed_outcome` is right;
 - duration_error: s, duration of the collapse less the true one, of trials that vanish abruptly and are judged to;
 - within_002: percent of the frames before full slip whose d² is off by 0.02 at most; `worst` the largest error,
   `unknown` the percent of these frames without a d²;
@@ -134,6 +135,7 @@ def measured(name: str, known: PartialSlip) -> dict[str, Cell]:
         "verdict": judged,
         "by_area": verdict["critical_area"] is not None and (verdict["critical_area"] > SMALLEST_AREA) == abrupt,
         "by_model": verdict["model_outcome"] == outcome,
+        "as_printed": verdict["printed_outcome"] == outcome,
         "found": verdict["outcome"],
         "critical": critical,
         "critical_found": verdict["critical_area"],
@@ -174,6 +176,7 @@ def summed(rows: Sequence[Mapping[str, Cell]], name: str = "all") -> list[Row]:
         "verdict": ", ".join(f"{sum(row['verdict'] == one for row in rows)} {one}" for one in _ORDER),
         "by_area": sum(bool(row["by_area"]) for row in rows),
         "by_model": sum(bool(row["by_model"]) for row in rows),
+        "as_printed": sum(bool(row["as_printed"]) for row in rows),
         "found": f"of {len(rows)}",
         "frames": int(frames),
         "unknown": 100 * (1 - sum(seen) / frames),

@@ -45,7 +45,7 @@ def row(name: str, verdict: str, frames: int, unknown: float, within: float | No
     }
     worst = None if within is None else 0.1
     return {
-        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True,
+        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True, "as_printed": False,
         "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
     }  # fmt: skip
 
@@ -60,7 +60,7 @@ def test_rows_are_counted() -> None:
     ]
     total, *rest = slip.summed(rows)
     assert (total["verdict"], total["found"], total["frames"]) == ("1 wrong, 1 none, 1 right", "of 3", 200)
-    assert total["by_area"] == 2
+    assert (total["by_area"], total["by_model"], total["as_printed"]) == (2, 3, 0)
     assert total["ratio_bound"] == pytest.approx(0.04)
     assert total["offset_5"] is None
     assert total["unknown"] == pytest.approx(100 * 75 / 200)
