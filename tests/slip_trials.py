@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 class SimulatedTrial:
     """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 per frame, and the truth behind them.
 
-    `critical_stuck_area` is 0 where mu_k >= mu_s.
+    `critical_stuck_area` is the d^2 at which the area collapses, 0 where it fades.
     """
 
     time: Values
@@ -37,6 +37,7 @@ def simulate_trial(
     load_noise: float = 0.005,
     oscillation: float = 0.01,
     reached: float = 1.0,
+    last: float | None = None,
 ) -> SimulatedTrial:
     """Simulate a slow ramp of T/N, the stuck area by equation 5, its collapse at constant T/N, and 1 s of full slip.
 
@@ -48,6 +49,7 @@ def simulate_trial(
         area_noise, load_noise: standard deviations of d^2 and, relative to the critical load, of T/N.
         oscillation: relative amplitude of a 3 Hz oscillation of T/N. The stuck area follows the largest T/N so far.
         reached: share of the critical load at which loading stops.
+        last: with a number the area falls in a straight line to it, in place of the model's curve, and collapses there.
     """
     noise = np.random.default_rng(seed)
     largest = float(critical_load_ratio(mu_s, mu_k))
@@ -57,6 +59,8 @@ def simulate_trial(
     load = largest * np.minimum(time / loading_s, reached) * swing
     highest = np.maximum.accumulate(load)
     area = stuck_area(highest, mu_s, mu_k).numpy()
+    if last is not None:
+        critical, area = last, 1 - (1 - last) * highest / largest
     lost = highest >= largest
     if lost.any():
         since = time - time[lost][0]

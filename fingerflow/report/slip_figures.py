@@ -67,6 +67,10 @@ def draw_trial(
         axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
     if _draw_collapse(axes, load, area, verdict):
         axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
+        deviation = verdict.critical_area_std
+        axes.axhspan(
+            verdict.critical_area - deviation, verdict.critical_area + deviation, color=RED, alpha=0.1, linewidth=0
+        )
     if fit is not None and fit.identified:
         _draw_fit(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)

@@ -44,18 +44,21 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return one line of text with a trial's verdicts by the corrected and by the printed rule, and their numbers."""
+    """Return the verdicts by the change point, as printed and by the model, with their numbers, as one line."""
     found = trial.verdict
-    numbers = [f"as printed: {found.printed_outcome}", found.reason]
+    numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
         numbers.append(f"T/N {found.loss_load_ratio:.2f} at the loss")
     if found.outcome == "vanishes abruptly":
-        numbers.append(f"extent d {found.critical_extent:.2f}, collapse {found.collapse_ms:.0f} ms")
+        numbers.append(
+            f"extent d {found.critical_extent:.2f}, collapse {found.collapse_ms:.0f} ± {found.collapse_ms_std:.0f} ms, "
+            f"{found.collapse_rate:.1f} ± {found.collapse_rate_std:.1f} per second"
+        )
     return f"{trial.name}: {found.outcome} ({'; '.join(numbers)})"
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return one line of text with the number of trials of each verdict, by the corrected and by the printed rule."""
+    """Return the number of trials of each verdict, by the change point and as printed, as one line."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),

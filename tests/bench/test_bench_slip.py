@@ -1,4 +1,4 @@
-"""The suite of partial slip: two rendered trials, and how rows are counted."""
+"""The suite of partial slip: rendered trials, and how rows are counted."""
 
 import pytest
 
@@ -8,16 +8,21 @@ from bench.suites import slip
 pytestmark = pytest.mark.long
 
 
-def test_two_trials() -> None:
-    """Both verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""
-    total, *rows = slip.run(quick=True)
+def test_two_trials_of_each_kind() -> None:
+    """All verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""
+    total, *rows, straight, first, second = slip.run(quick=True)
     assert (total["trial"], total["verdict"], total["found"]) == ("all", "0 wrong, 0 none, 2 right", "of 2")
+    assert (straight["trial"], straight["verdict"]) == ("linear, all", "0 wrong, 0 none, 2 right")
     assert [row["trial"] for row in rows] == ["100", "101"]
-    for row in rows:
+    assert [row["trial"] for row in (first, second)] == ["linear, 100", "linear, 101"]
+    for row in (*rows, first, second):
         assert row["unknown"] == 0
         assert "critical" in str(row["why"])
         assert number(row, "within_002") > 90
         assert number(row, "worst") < 0.05
+    for row in (first, second):
+        assert abs(number(row, "critical_found") - number(row, "critical")) < 0.04
+        assert abs(number(row, "duration_error")) < 0.04
     assert number(total, "worst") == max(number(row, "worst") for row in rows)
 
 
@@ -40,8 +45,8 @@ def row(name: str, verdict: str, frames: int, unknown: float, within: float | No
     }
     worst = None if within is None else 0.1
     return {
-        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "frames": frames, "unknown": unknown,
-        "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
+        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True, "as_printed": False,
+        "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
     }  # fmt: skip
 
 
@@ -55,7 +60,7 @@ def test_rows_are_counted() -> None:
     ]
     total, *rest = slip.summed(rows)
     assert (total["verdict"], total["found"], total["frames"]) == ("1 wrong, 1 none, 1 right", "of 3", 200)
-    assert total["by_area"] == 2
+    assert (total["by_area"], total["by_model"], total["as_printed"]) == (2, 3, 0)
     assert total["ratio_bound"] == pytest.approx(0.04)
     assert total["offset_5"] is None
     assert total["unknown"] == pytest.approx(100 * 75 / 200)

@@ -1,11 +1,11 @@
-"""The verdict of a trial: the corridor rule, its correction, and what cannot be judged."""
+"""The verdict of a trial: by the change point, as printed, by the model, and what cannot be judged."""
 
 from dataclasses import asdict
 
 import numpy as np
 import pytest
 
-from fingerflow.models.partial_slip import TrialVerdict, fit_friction, judge_trial, stuck_area
+from fingerflow.models.partial_slip import TrialVerdict, fit_friction, friction_ratio, judge_trial, stuck_area
 from fingerflow.models.partial_slip.verdict import FADING_AREA
 from tests.slip_trials import SimulatedTrial, simulate_trial
 
@@ -36,7 +36,8 @@ def test_the_largest_area_in_the_corridor_is_the_papers_number() -> None:
     verdict = judged(trial)
     at_edge = stuck_area(0.95 * 0.8**2 / 1.2, 0.8, 0.4).item()
     assert verdict.corridor_area == pytest.approx(at_edge, abs=0.005)
-    assert verdict.critical_area == pytest.approx(1 / 3, abs=0.005)
+    assert verdict.model_area == pytest.approx(1 / 3, abs=0.005)
+    assert verdict.critical_area == pytest.approx(1 / 3, abs=0.02)
     assert trial.time[verdict.corridor_frames[0]] == pytest.approx(0.95 * 3, abs=0.005)
     assert verdict.collapse_ms == pytest.approx(trial.collapse_ms, abs=5)
 
@@ -45,11 +46,10 @@ def test_the_largest_area_in_the_corridor_is_the_papers_number() -> None:
 def test_an_area_that_fades_is_not_taken_for_one_that_vanishes(mu_k: float) -> None:
     """The limit of 0.05 in print belongs to a misprinted curve: with it every one of these vanishes abruptly."""
     verdict = judged(simulate_trial(0.8, mu_k, seed=4))
-    assert verdict.outcome == "diminishes"
-    assert verdict.printed_outcome == "vanishes abruptly"
+    assert verdict.outcome == verdict.model_outcome == "diminishes"
+    assert verdict.printed_outcome == ("vanishes abruptly" if mu_k < 1 else "diminishes")
     assert np.isnan(verdict.friction_ratio)
     assert np.isnan(verdict.collapse_ms)
-    assert "an area that fades" in verdict.reason
 
 
 def test_where_the_limits_come_from() -> None:
@@ -58,16 +58,39 @@ def test_where_the_limits_come_from() -> None:
     assert printed_curve == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("last", "outcome"), [(0.35, "vanishes abruptly"), (0.15, "diminishes")])
-def test_an_area_that_falls_in_a_straight_line(last: float, outcome: str) -> None:
-    """Not the model's curve. Down to 0.15 alone it cannot be told from fading by what is inside the corridor."""
-    time = np.arange(0, 4, 1 / 60)
-    load = 0.6 * np.minimum(time / 3, 1)
-    area = np.where(time < 3, 1 - (1 - last) * time / 3, last * np.clip(1 - (time - 3) / 0.2, 0, 1))
-    verdict = judge_trial(area, load, time)
-    assert verdict.corridor_area == pytest.approx(last + 0.05 * (1 - last), abs=0.02)
-    assert verdict.outcome == outcome
-    assert verdict.printed_outcome == "vanishes abruptly"
+@pytest.mark.parametrize("rate", [60, 300])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+@pytest.mark.parametrize("loading", [1.5, 3.0])
+def test_the_papers_own_fading_line_diminishes(rate: float, noise: float, loading: float) -> None:
+    """d^2 = 1 - T/(mu N) is at 0.05 where it enters the corridor, and by every rule it vanishes without a collapse."""
+    draw = np.random.default_rng(1)
+    time = np.arange(0, loading + 1, 1 / rate)
+    load = np.minimum(time / loading, 1)
+    area = np.clip(1 - load + noise * draw.standard_normal(time.size), 0, 1)
+    verdict = judge_trial(area, load * (1 + noise / 4 * draw.standard_normal(time.size)), time)
+    assert verdict.outcome == verdict.printed_outcome == verdict.model_outcome == "diminishes"
+    assert verdict.corridor_area == pytest.approx(0.05, abs=0.012 + 3 * noise)
+
+
+@pytest.mark.parametrize("rate", [60, 300])
+@pytest.mark.parametrize("collapse_ms", [130, 310])
+@pytest.mark.parametrize("last", [0.10, 0.15, 0.22, 0.34])
+def test_an_area_that_falls_in_a_straight_line(last: float, collapse_ms: float, rate: float) -> None:
+    """The paper's range, without the model's curve, by which only 0.34 vanishes abruptly."""
+    for noise in (0.0, 0.01):
+        trial = simulate_trial(
+            0.8, 0.4, 1, rate, collapse_ms=collapse_ms, area_noise=noise, load_noise=noise / 2, oscillation=0, last=last
+        )
+        verdict = judged(trial)
+        assert verdict.outcome == verdict.printed_outcome == "vanishes abruptly"
+        if last != 0.22:  # in the corridor d^2 is 0.26 then, at the model's limit
+            assert verdict.model_outcome == ("vanishes abruptly" if last > 0.3 else "diminishes")
+        assert verdict.critical_area == pytest.approx(last, abs=0.02)
+        assert abs(verdict.critical_area - last) < 2 * verdict.critical_area_std < 0.05
+        assert verdict.collapse_ms == pytest.approx(collapse_ms, abs=50)
+        assert abs(verdict.collapse_ms - collapse_ms) < 2 * verdict.collapse_ms_std
+        assert abs(verdict.collapse_rate - 1000 * last / collapse_ms) < 2 * verdict.collapse_rate_std
+        assert "critical d² of" in verdict.reason
 
 
 def test_a_trial_that_fades_far_below_both_limits() -> None:
@@ -76,8 +99,11 @@ def test_a_trial_that_fades_far_below_both_limits() -> None:
     assert verdict.corridor_area < 0.1
 
 
-def random_trial(seed: int) -> tuple[SimulatedTrial, str]:
-    """Any friction, rate, duration and noise; one in ten with an unsteady force, one in ten without full slip."""
+def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
+    """Any friction, rate, duration and noise; one in ten with an unsteady force, one in ten without full slip.
+
+    With `linear` the area falls in a straight line to 0.10 to 0.34, as in the paper.
+    """
     draw = np.random.default_rng(seed)
     mu_s = draw.uniform(0.5, 1.5)
     kind = draw.choice(["plain", "unsteady", "short"], p=[0.8, 0.1, 0.1])
@@ -91,31 +117,40 @@ def random_trial(seed: int) -> tuple[SimulatedTrial, str]:
         area_noise=draw.uniform(0.005, 0.02),
         oscillation=draw.uniform(0.08, 0.15) if kind == "unsteady" else 0.01,
         reached=draw.uniform(0.5, 0.93) if kind == "short" else 1.0,
+        last=draw.uniform(0.10, 0.34) if linear else None,
     )
     if kind != "plain":
         return trial, "inconclusive"
     return trial, "vanishes abruptly" if trial.critical_stuck_area > 0.05 else "diminishes"
 
 
-def test_a_hundred_random_trials() -> None:
-    """At least 95 right; the others are within 0.05 of the limit of 0.05 or swing hardly too much."""
-    wrong, printed_wrong, errors = [], 0, []
+@pytest.mark.parametrize("linear", [True, False])
+def test_a_hundred_random_trials(linear: bool) -> None:
+    """At least 95 right of straight lines and of the model's curves; d^2 and duration within their deviations."""
+    wrong, model_wrong, areas, times, errors = [], 0, [], [], []
     for seed in range(100):
-        trial, truth = random_trial(seed)
+        trial, truth = random_trial(seed, linear)
         verdict = judged(trial)
-        printed_wrong += verdict.printed_outcome != truth
+        model_wrong += verdict.model_outcome != truth
         if verdict.outcome != truth:
             wrong.append((seed, trial.critical_stuck_area, truth, verdict.reason))
         elif truth == "vanishes abruptly":
-            loading = verdict.loading()
-            fit = fit_friction(trial.stuck_area[loading], trial.load_ratio[loading], resamples=100)
-            errors.append(fit.ratio * trial.mu_s / trial.mu_k - 1)
+            areas.append((verdict.critical_area - trial.critical_stuck_area, verdict.critical_area_std))
+            times.append((verdict.collapse_ms - trial.collapse_ms, verdict.collapse_ms_std))
+            if not linear:
+                loading = verdict.loading()
+                fit = fit_friction(trial.stuck_area[loading], trial.load_ratio[loading], resamples=100)
+                errors.append(fit.ratio / friction_ratio(trial.critical_stuck_area).item() - 1)
     assert len(wrong) <= 5, wrong
-    assert all(abs(critical - 0.05) < 0.05 for _, critical, _, _ in wrong), wrong
-    assert printed_wrong > 30
-    assert len(errors) > 25
-    assert np.mean(np.abs(errors) < 0.05) > 0.9
-    assert np.std(errors) < 0.03
+    assert (model_wrong > 30) == linear
+    assert len(areas) > 25
+    for found, limit in ((areas, 0.025), (times, 40)):
+        error, deviation = np.transpose(found)
+        assert np.sqrt(np.mean(error**2)) < limit
+        assert np.mean(np.abs(error) < 2 * deviation) > 0.9
+    if not linear:
+        assert np.mean(np.abs(errors) < 0.05) > 0.9
+        assert np.std(errors) < 0.03
 
 
 def test_frames_without_a_number_change_nothing_but_their_count() -> None:
@@ -145,25 +180,6 @@ def test_a_jump_of_one_frame_changes_nothing() -> None:
 def sawtooth(trial: SimulatedTrial) -> np.ndarray:
     """T/N that builds up and lets go five times a second."""
     return trial.load_ratio * (1 - 0.25 * (5 * trial.time % 1))
-
-
-@pytest.mark.parametrize("mu_k", [0.72, 0.78])
-def test_a_critical_area_beside_the_limit_is_not_told_from_it(mu_k: float) -> None:
-    """Of 0.09, 0.02, found as 0.07 and 0.03: no verdict with a deviation of 0.04, but all numbers; with 0.004 one."""
-    trial = simulate_trial(0.8, mu_k, seed=2, area_noise=0, load_noise=0)
-    series = trial.stuck_area, trial.load_ratio, trial.time
-    plain, unsure, sure = (judge_trial(*series, std) for std in (0.0, 0.04, 0.004))
-    assert abs(plain.critical_area - 0.05) < 0.04
-    assert unsure.outcome == "inconclusive"
-    assert "with its standard deviation of 0.04 is not told from 0.05" in unsure.reason
-    assert unsure.critical_area == plain.critical_area
-    assert unsure.loading() == plain.loading() != slice(0, 0)
-    assert np.isnan(unsure.friction_ratio)
-    assert sure.outcome == plain.outcome == ("vanishes abruptly" if mu_k < 0.76 else "diminishes")
-    far = simulate_trial(0.8, 0.4, seed=2)
-    assert judge_trial(far.stuck_area, far.load_ratio, far.time, 0.04).outcome == "vanishes abruptly"
-    with pytest.raises(ValueError, match="critical_area_std must be 0 or more"):
-        judge_trial(*series, -0.1)
 
 
 def test_what_cannot_be_judged_says_why() -> None:

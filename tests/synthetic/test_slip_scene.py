@@ -84,7 +84,7 @@ def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None
     ("kinetic", "outcome", "with_the_limit"),
     [
         (0.4, "vanishes abruptly", "vanishes abruptly"),
-        (0.84, "diminishes", "vanishes abruptly"),
+        (0.8, "diminishes", "vanishes abruptly"),
         (1.0, "diminishes", "diminishes"),
     ],
 )

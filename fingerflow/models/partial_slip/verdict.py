@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
+from fingerflow.models.partial_slip.collapse import fit_collapse
 from fingerflow.models.partial_slip.evolution import friction_ratio
 from fingerflow.models.partial_slip.fit import frame_noise
 
@@ -21,11 +22,15 @@ SMALLEST_AREA = 0.05  # d^2 above which a minimal adhesion area exists
 FADING_AREA = math.sqrt(CORRIDOR)
 
 _SMOOTHED_S = 0.05  # s of the running medians, and five frames at least
-_REFERENCE_S = 0.05  # s before the complete loss over which its T/N is taken
+_REFERENCE_S = 0.05  # s before the complete loss within which T/N is known
 _FEWEST = 15  # frames with d^2 and T/N
 _LARGEST_FALL = CORRIDOR  # relative fall of T/N before the complete loss; with more the loading is not slow
 _LARGEST_NOISE = CORRIDOR / 2  # standard deviation of T/N from frame to frame
 _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
+_LEAST_ZERO = 0.01  # d^2 that counts as 0 where no noise is seen
+_ZERO_STD = 4.0  # standard deviations of the smoothed d^2 that count as 0
+_LARGEST_STD = 2.0  # standard deviations by which the largest of several d^2 exceeds the true one
+_LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fading: 2.4 standard deviations
 
 
 @dataclass(frozen=True)
@@ -35,17 +40,20 @@ class TrialVerdict:
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
         reason: why, in a sentence.
-        printed_outcome: outcome of the rule as printed, with 0.05 as the limit of `corridor_area`.
-        loss_frame: index of the first frame from which on d^2 is 0.05 at most, taken as no adhesion.
-        loss_load_ratio: T/N just before it.
+        printed_outcome: outcome of the paper's rule, by `corridor_area`.
+        model_outcome: outcome by `model_area`.
+        loss_frame: index of the first frame from which on d^2 is 0 up to its noise, `zero_area`.
+        zero_area: d^2 that is not distinguished from 0; `area_noise`, standard deviation of the smoothed d^2.
+        loss_load_ratio: T/N just before the loss.
         corridor_frames: first and last index of the run of frames before the loss with T/N inside the corridor.
         corridor_area: largest d^2 in that run; `corridor_ms`, time from that frame to the loss.
-        critical_area: d^2_critic, `corridor_area` without the part explained by slow loading; 0 at least.
-        critical_area_std: its standard deviation, as given.
+        model_area: the critical area that equation 5 implies for `corridor_area`; 0 at least.
+        critical_area: d^2_critic, at which d^2 no longer follows the load; `critical_area_std`, its standard deviation.
         critical_extent: d, its linear extent.
-        collapse_frame: index of the last frame with the critical area.
-        collapse_ms: time in which the critical area vanishes: from 0.8 to 0.2 of it, over 0.6, because the first and
-            the last part are lost in noise.
+        collapse_frame: index of the last frame before the collapse; where the area fades, before the loss.
+        collapse_ms: time in which the critical area vanishes; `collapse_ms_std`, its standard deviation.
+        collapse_rate: d^2 per second during the collapse; `collapse_rate_std`, its standard deviation.
+        collapse_evidence: chi^2 by which a collapse at constant load explains d^2 better than fading does.
         friction_ratio: mu_k / mu_s that the critical area implies; NaN unless the area vanishes abruptly.
         steepest_fall: largest fall of T/N before the loss, relative to `loss_load_ratio`.
         load_noise: standard deviation of T/N from frame to frame, relative to the same.
@@ -55,16 +63,24 @@ class TrialVerdict:
     outcome: Outcome
     reason: str
     printed_outcome: Outcome
+    model_outcome: Outcome = "inconclusive"
     loss_frame: int = -1
+    zero_area: float = math.nan
+    area_noise: float = math.nan
     loss_load_ratio: float = math.nan
     corridor_frames: tuple[int, int] = (-1, -1)
     corridor_area: float = math.nan
     corridor_ms: float = math.nan
+    model_area: float = math.nan
     critical_area: float = math.nan
     critical_area_std: float = math.nan
     critical_extent: float = math.nan
     collapse_frame: int = -1
     collapse_ms: float = math.nan
+    collapse_ms_std: float = math.nan
+    collapse_rate: float = math.nan
+    collapse_rate_std: float = math.nan
+    collapse_evidence: float = math.nan
     friction_ratio: float = math.nan
     steepest_fall: float = math.nan
     load_noise: float = math.nan
@@ -76,19 +92,22 @@ class TrialVerdict:
         return slice(0, self.collapse_frame + 1)
 
 
-def judge_trial(
-    stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, critical_area_std: float = 0.0
-) -> TrialVerdict:
-    """Decide whether a trial has a minimal adhesion area: the corridor rule of Terekhov & Hayward 2011, section 3.
+def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -> TrialVerdict:
+    """Decide whether a trial has a minimal adhesion area, by three rules.
 
-    The rule takes T/N just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it.
-    The paper states that a minimal area exists if that d^2 is above 0.05. There its curve for equal coefficients, d^2 =
-    1 - T/(mu N), enters the corridor; but that curve is misprinted (see `stuck_area`): a fading area is
-    still (0.05)^(1/2) = 0.224 there. By the same reasoning the model's own d^2 there is c + 0.224 (1 - c), where c is
-    the critical one. The rule used here solves for c: a minimal area exists if c > 0.05, that is if the d^2 in the
-    corridor is above 0.262. `printed_outcome` holds the rule as printed. The two rules disagree for an area that
-    vanishes from less than 0.262 without bending down towards the loss as the model does. It counts as fading here and
-    as vanishing abruptly in print: inspect such a trial.
+    `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
+    collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse
+    explains d^2 better than fading by a chi^2 of 6. Otherwise it diminishes; it is inconclusive where d^2 exceeds 0.05
+    but not its deviation.
+
+    `printed_outcome` is the rule of Terekhov & Hayward 2011, section 3: the largest d^2 while T/N stays within 5 % of
+    its value just before the complete loss of adhesion; a minimal area exists if that is above 0.05. There the paper's
+    line for equal coefficients, d^2 = 1 - T/(mu N), enters the corridor, so the line itself diminishes. At the loss d^2
+    is 0 up to `zero_area`, and the largest value has an error of two deviations; the limit is raised by both.
+
+    `model_outcome` corrects that limit: the line is misprinted (see `stuck_area`), and a fading area is still
+    (0.05)^(1/2) = 0.224 there. By equation 5 the d^2 there is c + 0.224 (1 - c), where c is the critical one. The area
+    vanishes abruptly if c, `model_area`, is above 0.05. A trial that does not bend down as the model does is misjudged.
 
     Both curves are smoothed by running medians over 50 ms, five frames at least, so single wrong frames have no effect.
 
@@ -96,16 +115,11 @@ def judge_trial(
         stuck_area: (F,) d^2 per frame: stuck area over contact area. NaN where it was not measured.
         load_ratio: (F,) T/N. NaN where there are no forces, as after the end of their file.
         time: (F,) s, increasing.
-        critical_area_std: standard deviation of the critical area. If it exceeds the distance to the limit of 0.05, the
-            trial is "inconclusive", with all its numbers but the ratio of frictions.
 
     Raises:
-        ValueError: the arrays differ in length or have more than one dimension, the time does not increase, or the
-            deviation is below 0 or not finite.
+        ValueError: the arrays differ in length or have more than one dimension, or the time does not increase.
     """
     area, load, when = _checked(stuck_area, load_ratio, time)
-    if not 0 <= critical_area_std < math.inf:
-        raise ValueError(f"critical_area_std must be 0 or more, not {critical_area_std}")
     measured = np.isfinite(area) & np.isfinite(load)
     found = TrialVerdict(
         "inconclusive",
@@ -117,19 +131,22 @@ def judge_trial(
     if found.frames_measured < _FEWEST:
         return replace(found, reason=f"{found.frames_measured} frames have d² and T/N; {_FEWEST} are needed")
     width = max(5, 2 * round(_SMOOTHED_S / float(np.median(np.diff(when))) / 2) + 1)
-    area, load = _smoothed(area, width), _smoothed(load, width)
+    raw, area, load = area, _smoothed(area, width), _smoothed(load, width)
     if np.nanmax(area) < 0.5:
         return replace(found, reason=f"the contact never sticks: d² is {np.nanmax(area):.2f} at most, under 0.5")
-    loss = _complete_loss(area)
+    noise = _area_noise(raw, area, width)
+    zero = max(_LEAST_ZERO, _ZERO_STD * noise)
+    loss = _complete_loss(area, zero)
     if loss is None:
         last = area[np.isfinite(area)][-1]
-        return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, over {SMALLEST_AREA}")
-    found = replace(found, loss_frame=loss)
+        return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, over {zero:.2f}, its noise")
+    found = replace(found, loss_frame=loss, zero_area=zero, area_noise=noise)
 
     just_before = load[(when >= when[loss] - _REFERENCE_S) & (when < when[loss])]
     if not np.isfinite(just_before).any():
         return replace(found, reason=f"no T/N in the {_REFERENCE_S:g} s before the complete loss at {when[loss]:.3f} s")
-    reference = float(np.nanmedian(just_before))
+    # T/N may fall from the loss on.
+    reference = float(np.fmax(just_before[np.isfinite(just_before)][-1], load[loss]))
     found = replace(found, loss_load_ratio=reference)
     if reference <= 0:
         return replace(found, reason=f"T/N is {reference:.2f} at the complete loss: the sign of a force is wrong")
@@ -153,43 +170,54 @@ def judge_trial(
         return replace(found, reason=f"{gap:.2f} s without d² or T/N inside the corridor, over {_LARGEST_GAP_S:g} s")
     if not np.isfinite(load[: run[0]]).any():
         return replace(found, reason="T/N is inside the corridor from the first frame on: no loading was recorded")
-    return _judged(replace(found, critical_area_std=critical_area_std), area, when, run)
+    return _judged(found, area, load, when, run)
 
 
-def _judged(found: TrialVerdict, area: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
+def _judged(found: TrialVerdict, area: Values, load: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
     loss = found.loss_frame
+    collapse = fit_collapse(area, load, when, loss)
+    if collapse is None:
+        return replace(found, reason="too few frames about the complete loss have d² and T/N")
     largest = float(area[run].max())
-    critical = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
-    abrupt = critical > SMALLEST_AREA
-    outcome: Outcome = "vanishes abruptly" if abrupt else "diminishes"
-    against = f"{'over' if abrupt else 'not over'} {SMALLEST_AREA:g}"
-    if abs(critical - SMALLEST_AREA) < found.critical_area_std:
-        outcome = "inconclusive"
-        against = f"which with its standard deviation of {found.critical_area_std:g} is not told from {SMALLEST_AREA:g}"
+    model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
+    critical, evidence = collapse.area, collapse.evidence
+    outcome: Outcome = "diminishes"
+    against = f"not over {SMALLEST_AREA:g}"
+    if critical > SMALLEST_AREA:
+        against = f"over {SMALLEST_AREA:g}"
+        if evidence <= _LEAST_EVIDENCE:
+            against += f", but a χ² of {evidence:.0f} does not tell it from fading"
+        elif critical <= collapse.area_std:
+            outcome, against = "inconclusive", against + ", but not over its deviation"
+        else:
+            outcome = "vanishes abruptly"
+    abrupt = outcome == "vanishes abruptly"
     known = np.flatnonzero(np.isfinite(area[:loss]))
-    last = int(known[area[known] >= critical][-1]) if abrupt else int(known[-1])
-    number = (
-        f"d² of {largest:.2f} inside the corridor, {FADING_AREA:.3f} of an area that fades: {critical:.2f} critical"
-    )
+    following = known[when[known] <= collapse.begin] if abrupt else known
     return replace(
         found,
         outcome=outcome,
-        reason=f"{number}, {against}",
-        printed_outcome="vanishes abruptly" if largest > SMALLEST_AREA else "diminishes",
+        reason=f"critical d² of {critical:.2f} ± {collapse.area_std:.2f}, {against}",
+        printed_outcome=_compared(largest - found.zero_area - _LARGEST_STD * found.area_noise),
+        model_outcome=_compared(model),
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
+        model_area=model,
         critical_area=critical,
+        critical_area_std=collapse.area_std,
         critical_extent=math.sqrt(critical),
-        collapse_frame=last,
-        collapse_ms=_collapse_ms(area[: loss + 1], when, critical) if abrupt else math.nan,
-        friction_ratio=float(friction_ratio(critical)) if outcome == "vanishes abruptly" else math.nan,
+        collapse_frame=int(following[-1]) if following.size else -1,
+        collapse_ms=1000 * collapse.duration if abrupt else math.nan,
+        collapse_ms_std=1000 * collapse.duration_std if abrupt else math.nan,
+        collapse_rate=collapse.rate,
+        collapse_rate_std=collapse.rate_std,
+        collapse_evidence=evidence,
+        friction_ratio=float(friction_ratio(critical)) if abrupt else math.nan,
     )
 
 
-def _collapse_ms(area: Values, when: Values, critical: float) -> float:
-    known = np.flatnonzero(np.isfinite(area))
-    high, low = (known[area[known] >= share * critical][-1] for share in (0.8, 0.2))
-    return 1000 * float(when[low] - when[high]) / 0.6
+def _compared(area: float) -> Outcome:
+    return "vanishes abruptly" if area > SMALLEST_AREA else "diminishes"
 
 
 def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
@@ -212,12 +240,20 @@ def _smoothed(values: Values, width: int) -> Values:
     return result
 
 
-def _complete_loss(area: Values) -> int | None:
-    """Return the first frame from which on the stuck area share d^2 is 0.05 or less up to the end; None if none."""
+def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
+    """Return the standard deviation of the smoothed d^2, from the frames that stick in part; 0 if there are too few."""
+    noise = frame_noise(raw[(smoothed > 0.05) & (smoothed < 0.95)])
+    # Of a median of independent values.
+    return math.sqrt(math.pi / 2 / width) * noise if math.isfinite(noise) else 0.0
+
+
+def _complete_loss(area: Values, zero: float) -> int | None:
+    """Return the frame from which on d^2 is 0, that with the fewest exceptions before and after; None without one."""
     known = np.flatnonzero(np.isfinite(area))
-    still = np.flatnonzero(area[known] > SMALLEST_AREA)
-    after = still[-1] + 1 if still.size else 0
-    return int(known[after]) if after < known.size else None
+    above = area[known] > zero
+    exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)
+    first = int(exceptions.argmin())
+    return int(known[first]) if first < known.size else None
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
