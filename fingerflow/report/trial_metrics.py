@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
+from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
 from fingerflow.schema.trial_columns import NUMBERS
 
@@ -69,7 +69,10 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA."""
+    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
+
+    Intervals of the bins are Wilson's, of trials; the ANOVA has participants as a random effect.
+    """
     values = _shown(trials, metric)
     known = np.isfinite(values)
     if known.any():
@@ -81,9 +84,8 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         middles = np.array([np.median(values[known][group]) for group in groups])
         limits = np.array([_wilson(answers[group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
-    test = one_way_anova(values, trials.answer)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
-    axes.set_title(f"ANOVA {_p(test.p)}, {int(known.sum())} trials", fontsize="medium")
+    axes.set_title(_of_anova(repeated_anova(values, trials.answer, trials.participant)), fontsize="medium")
     return finished(axes)
 
 
@@ -134,12 +136,11 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
             mean, deviation = own.mean(), own.std(ddof=1)
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
         axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
-    test = one_way_anova(values, trials.condition)
+    test = repeated_anova(values, trials.condition, trials.participant)
     label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
-    if np.isfinite(test.f):
-        axes.set_title(f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}", fontsize="medium")
+    axes.set_title(_of_anova(test), fontsize="medium")
     return finished(axes)
 
 
@@ -154,19 +155,22 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
     medians: list[float] = []
     shares: list[float] = []
+    who: list[Any] = []
     for index, colour in enumerate(colours):
         x, y = [], []
         for participant in np.unique(trials.participant):
             own = (place == index) & (trials.participant == participant) & np.isfinite(values)
             if own.any():
                 x.append(float(np.median(values[own])))
+                who.append(participant)
                 y.append(float(trials.answer[own].mean()))
         axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
         medians, shares = medians + x, shares + y
-    found = spearman(medians, shares)
+    found = spearman(medians, shares, participants=who)
     axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
-    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
+    size = f"{found.trials} dots of {found.participants} participants"
+    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}", fontsize="medium")
     return finished_beside(axes, AMPLITUDE)
 
 
@@ -228,6 +232,14 @@ def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))
     return middle - reach, middle + reach
+
+
+def _of_anova(test: Anova) -> str:
+    """Return F with its degrees of freedom, p by participants, and the numbers of trials and participants."""
+    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
+    if np.isnan(test.f):
+        return f"no F, {size}"
+    return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
 
 
 def _p(value: float) -> str:

@@ -78,7 +78,7 @@ def write_study_report(
         )
         if one
     ] if waiting else []  # fmt: skip
-    figures = write_figures(frame, sample, curves, manifest.results / "figures")
+    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design)
     statistics = statistics_of(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
     write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))

@@ -182,7 +182,7 @@ def _of_force_rate(trials: Trials) -> Any:
     asked = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
     found = mixed_model(*(one[asked] for one in (rate, trials.answer, trials.condition, trials.participant)))
-    return {**asdict(found), "unit": f"1/({unit})", "largest_amplitude_um": _LARGEST_AMPLITUDE}
+    return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 
 def _groups(trials: Trials, resamples: int, seed: int) -> Any:

@@ -7,12 +7,15 @@ from fingerflow.models.observer.groups import Groups, participant_groups
 from fingerflow.models.observer.mixed_model import MixedModel, mixed_model
 from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
-from fingerflow.models.observer.psychometric import PsychometricFit, fit_psychometric
+from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES, YES_NO, PsychometricFit, fit_psychometric
 from fingerflow.models.observer.relations import Correlation, pearson, spearman
 from fingerflow.models.observer.summary import MetricSummary, observe
 from fingerflow.models.observer.trials_table import Trials, leave_out_moved, read_trials
 
 __all__ = [
+    "FORCED_CHOICE",
+    "GUESSES",
+    "YES_NO",
     "Anova",
     "Correlation",
     "Estimate",

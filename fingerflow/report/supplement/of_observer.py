@@ -7,6 +7,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from fingerflow.models.observer import (
+    GUESSES,
     Trials,
     fit_psychometric,
     leave_out_moved,
@@ -100,7 +101,7 @@ def individual_performance(sources: Sources) -> Sheet:
     elif np.unique(trials.condition).size < _FEWEST_AMPLITUDES:
         left_out.append(f"C needs {_FEWEST_AMPLITUDES} amplitudes in the column condition or more")
     else:
-        panels.append(SheetPanel("C", lambda part: _draw_curves(part, parts)))
+        panels.append(SheetPanel("C", lambda part: _draw_curves(part, parts, GUESSES[sources.design])))
     return Sheet("S12", tuple(panels), tuple(left_out))
 
 
@@ -121,7 +122,8 @@ def curl(sources: Sources) -> Sheet:
     panels.append(
         SheetPanel(
             "C",
-            lambda part: draw_curl_against_divergence(part.subplots(), *both, trials.participant, pearson(*both)),
+            lambda part: draw_curl_against_divergence(part.subplots(), *both, trials.participant, pearson(*both, participants=trials.participant)
+            ),
         )
     )
     return Sheet("S13", tuple(panels))
@@ -131,14 +133,20 @@ def _scatter(letter: str, trials: Trials, metric: str) -> SheetPanel:
     return SheetPanel(letter, lambda part: draw_share_against(part.subplots(), trials, metric))
 
 
-def _draw_curves(part: SubFigure, parts: dict[str, Trials]) -> None:
+def _draw_curves(part: SubFigure, parts: dict[str, Trials], guess: float | None) -> None:
     curves = {}
     for name, trials in parts.items():
         amplitudes, place = np.unique(trials.condition.astype(np.float64), return_inverse=True)
-        answers = np.bincount(place, weights=trials.answer)
-        counts = np.bincount(place)
-        # Between two stimuli that feel alike, every second answer is right by chance.
-        curves[name] = (amplitudes, answers, counts, fit_psychometric(amplitudes, answers, counts, guess=0.5))
+        who, person = np.unique(trials.participant, return_inverse=True)
+        block = person * amplitudes.size + place
+        answers, counts = (
+            np.bincount(block, weights, who.size * amplitudes.size).reshape(who.size, amplitudes.size)
+            for weights in (trials.answer, None)
+        )
+        person, place = np.nonzero(counts)
+        blocks = amplitudes[place], answers[person, place], counts[person, place]
+        fit = fit_psychometric(*blocks, guess=guess, participants=who[person])
+        curves[name] = (amplitudes, answers.sum(0), counts.sum(0), fit)
     draw_psychometric(part.subplots(), curves, AMPLITUDE)
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from fingerflow.models.friction_epochs import FrictionEpochs
-from fingerflow.models.observer import Trials
+from fingerflow.models.observer import FORCED_CHOICE, Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
 from fingerflow.report.strains_at_depth import Depth, look_under
@@ -18,10 +18,11 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """A tribometer trace and a table of trials, None where there is none; the rest is simulated."""
+    """A tribometer trace and a table of trials, None where there is none, and their design; the rest is simulated."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
+    design: str = FORCED_CHOICE  # a name in GUESSES
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
