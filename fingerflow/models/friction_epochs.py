@@ -84,7 +84,10 @@ def friction_epochs(
             last.append(stop)
     bins = np.searchsorted(edges.numpy(), height, side="right") - 1
     kept = [
-        [start + np.flatnonzero((bins[start:stop] == k) & np.isfinite(ratio[start:stop])) for k in range(len(edges) - 1)]
+        [
+            start + np.flatnonzero((bins[start:stop] == k) & np.isfinite(ratio[start:stop]))
+            for k in range(len(edges) - 1)
+        ]
         for start, stop in zip(first, last, strict=True)
     ]
     shape = (len(first), len(edges) - 1)

@@ -45,7 +45,12 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     axes.plot([0, 1], [0, 1], "--", color=GREY, linewidth=0.8)
     colours = colormaps["viridis"](np.linspace(0, 0.9, max(len(observers), 1)))
     for (name, observer), colour in zip(observers.items(), colours, strict=False):
-        axes.plot(observer.false_alarms, observer.hits, color=colour, label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})")
+        axes.plot(
+            observer.false_alarms,
+            observer.hits,
+            color=colour,
+            label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})",
+        )
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
     finished(axes)
     axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
@@ -76,7 +81,9 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
             density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
             axes.plot(x, share * density * known.size * (edges[1] - edges[0]), color=colour)
         axes.axvline(groups.border, color=INK, linestyle=":")
-        axes.set_title(f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants")
+        axes.set_title(
+            f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants"
+        )
     axes.set(xlabel=quantity, ylabel="participants")
     return finished(axes)
 

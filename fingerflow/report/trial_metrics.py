@@ -71,7 +71,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
 
-    Intervals of the bins are Wilson's, of trials; the ANOVA has participants as a random effect.
+    Participants are the units of the intervals and a random effect of the ANOVA.
     """
     values = _shown(trials, metric)
     known = np.isfinite(values)
@@ -82,7 +82,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
         middles = np.array([np.median(values[known][group]) for group in groups])
-        limits = np.array([_wilson(answers[group]) for group in groups]).T
+        limits = np.array([_wilson(answers[group], trials.participant[known][group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
     axes.set_title(_of_anova(repeated_anova(values, trials.answer, trials.participant)), fontsize="medium")
@@ -226,9 +226,19 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
     return scaled
 
 
-def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1."""
-    n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
+def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
+    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1.
+
+    The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
+    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish 1965).
+    """
+    n, share = float(answers.size), float(answers.mean())
+    _, own = np.unique(participant, return_inverse=True)
+    apart = np.bincount(own, answers - share)
+    if apart.size > 1 and 0 < share < 1:
+        effect = apart.size / (apart.size - 1) * float(apart @ apart) / (n * share * (1 - share))
+        n /= max(effect, 1.0)
+    z2 = _NORMAL_95**2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))
     return middle - reach, middle + reach

@@ -99,6 +99,11 @@ def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> 
         ("[study]", "[studies]", "studies is not a key; did you mean 'study'"),
         ('trials = "trials.csv"', 'trails = "trials.csv"', "study.trails is not a key; did you mean 'trials'"),
         ('trials = "trials.csv"', "trials = 3", "study.trials is 3"),
+        (
+            'trials = "trials.csv"',
+            'trials = "trials.csv"\ndesign = "2afc"',
+            "study.design is '2afc'; give 'forced choice' or",
+        ),
         ('trials = "trials.csv"', "", "one of trials"),
         ("[study]", "[study", "is not valid TOML"),
     ],

@@ -92,7 +92,9 @@ def test_few_tables_without_effect_have_one_that_holm_leaves() -> None:
         draw = np.random.default_rng(seed)
         who, condition = np.repeat(np.arange(16), 14), np.tile(np.repeat(np.arange(7), 2), 16)
         p = {
-            str(metric): repeated_anova(draw.standard_normal(16)[who] + draw.standard_normal(who.size), condition, who).p
+            str(metric): repeated_anova(
+                draw.standard_normal(16)[who] + draw.standard_normal(who.size), condition, who
+            ).p
             for metric in range(15)
         }
         corrected += min(holm(p).values()) < 0.05

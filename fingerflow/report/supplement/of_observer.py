@@ -122,7 +122,8 @@ def curl(sources: Sources) -> Sheet:
     panels.append(
         SheetPanel(
             "C",
-            lambda part: draw_curl_against_divergence(part.subplots(), *both, trials.participant, pearson(*both, participants=trials.participant)
+            lambda part: draw_curl_against_divergence(
+                part.subplots(), *both, trials.participant, pearson(*both, participants=trials.participant)
             ),
         )
     )

@@ -37,7 +37,9 @@ def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_s
 def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2) -> dict[str, Any]:
     """Return trials of a metric that rises by `effect` over the groups; participants differ in level and in response."""
     draw = np.random.default_rng(seed)
-    who, group = (one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij"))
+    who, group = (
+        one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij")
+    )
     place = group / (groups - 1) - 0.5
     level, response = 2 * draw.standard_normal(people), effect + draw.standard_normal(people)
     metric = level[who] + response[who] * place + draw.standard_normal(who.size)
@@ -118,17 +120,22 @@ def main(studies: int) -> None:
                 tables = [measured(seed, people, groups, effect) for seed in range(studies)]
                 own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
                 printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
-                print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {own_p:.3f}, one-way {printed:.3f}")
+                print(
+                    f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {own_p:.3f}, one-way {printed:.3f}"
+                )
         for effect in (0.0, 0.5):
             for kind in (pearson, spearman):
                 pairs = [related(seed, people, effect=effect) for seed in range(studies)]
                 own_p = np.mean([kind(x, y, participants=who).p < ALPHA for x, y, who in pairs])
                 alone = np.mean([kind(x, y).p < ALPHA for x, y, _ in pairs])
-                print(f"{kind.__name__}: {people} participants, r {effect:g}: {own_p:.3f}, pairs as independent {alone:.3f}")
-    tables = [answered(seed, 16, own_slope=0.3) for seed in range(min(studies, 120))]
-    several = [of_statsmodels(table) for table in tables]
-    for name in several[0]:
-        print(f"{name}: 16 participants, slope 0 ± 0.3: {np.mean([one[name] < ALPHA for one in several]):.3f}")
+                print(
+                    f"{kind.__name__}: {people} participants, r {effect:g}: {own_p:.3f}, pairs as independent {alone:.3f}"
+                )
+    for own in (0.0, 0.3):
+        several = [of_statsmodels(answered(seed, 16, own_slope=own)) for seed in range(min(studies, 120))]
+        for name in several[0]:
+            found = np.mean([one[name] < ALPHA for one in several])
+            print(f"{name}: 16 participants, slope 0 ± {own:g}: {found:.3f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -148,6 +148,7 @@ def test_the_guess_rate_follows_the_design(design: str) -> None:
 def test_a_wrong_guess_rate_moves_the_threshold() -> None:
     """Answers of yes and no from 0.1 up, many of them: half of them are no guesses."""
     blocks, truth = counted(0, None, people=40, trials=100)
-    right, wrong = (fit_psychometric(**{**blocks, "participants": None}, guess=guess) for guess in (None, 0.5))
+    answers = blocks["answers"].reshape(40, 7).sum(0)
+    right, wrong = (fit_psychometric(blocks["stimulus"][:7], answers, [4000] * 7, guess=guess) for guess in (None, 0.5))
     assert abs(right.threshold - truth) < 0.2
     assert wrong.threshold - truth > 0.05

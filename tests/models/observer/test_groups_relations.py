@@ -163,7 +163,7 @@ def test_correlations_of_few_participants() -> None:
     assert math.isnan(two.p)
     assert "no interval from 2 participants: 3 are needed" in two.reason
     draw = np.random.default_rng(10)
-    y = x + draw.standard_normal(6)
+    y = x + 3 * draw.standard_normal(6)
     three = spearman(x, y, participants=[0, 0, 1, 1, 2, 2])
     assert three.interval[0] < three.value < three.interval[1]
     assert three.participants == 3
