@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
+from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.schema.trial_columns import OF_RESULTS
 

@@ -181,7 +181,7 @@ def _of_force_rate(trials: Trials) -> Any:
         return {"reason": "needs the rate of the force and conditions that are numbers"}
     asked = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
-    found = mixed_model(*(one[asked] for one in (rate, trials.answer, trials.condition, trials.participant)))
+    found = mixed_model(rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked])
     return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 

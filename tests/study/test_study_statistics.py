@@ -86,7 +86,7 @@ def test_one_study_whole() -> None:
 
 
 def test_few_tables_without_effect_have_one_that_holm_leaves() -> None:
-    """15 metrics of 16 participants, all independent of the condition: 5 % of the studies have a p below 0.05, not 54 %."""
+    """15 metrics, all independent of the condition: 5 % of the studies have a p below 0.05, not 54 %."""
     corrected, alone = 0, 0
     for seed in range(100):
         draw = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,7 +53,8 @@ def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike
     Raises:
         ValueError: lengths differ.
     """
-    numbers, names, who = _columns(values, groups, participants)
+    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
+    names, who = (_labels(one, numbers.size) for one in (groups, participants))
     known = np.isfinite(numbers)
     found, group = np.unique(names[known], return_inverse=True)
     people, person = np.unique(who[known], return_inverse=True)
@@ -97,7 +99,8 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
     Raises:
         ValueError: values and groups differ in length.
     """
-    numbers, names = _columns(values, groups)
+    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
+    names = _labels(groups, numbers.size)
     known = np.isfinite(numbers)
     split = {str(name): numbers[known & (names == name)] for name in np.unique(names)}
     counts, missing = {name: some.size for name, some in split.items()}, int((~known).sum())
@@ -114,9 +117,8 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
     return Anova(float(found.statistic), degrees, float(found.pvalue), 1 - within / total, counts, missing)
 
 
-def _columns(values: ArrayLike, *labels: ArrayLike) -> tuple[Values, *tuple[NDArray[np.generic], ...]]:
-    numbers, names = np.asarray(values, dtype=np.float64).reshape(-1), [np.asarray(one).reshape(-1) for one in labels]
-    for one in names:
-        if one.size != numbers.size:
-            raise ValueError(f"{numbers.size} values in {one.size} groups: name the group of every value")
-    return numbers, *names
+def _labels(of: ArrayLike, number: int) -> NDArray[Any]:
+    names = np.asarray(of).reshape(-1)
+    if names.size != number:
+        raise ValueError(f"{number} values in {names.size} groups: name the group of every value")
+    return names

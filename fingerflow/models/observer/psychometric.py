@@ -80,8 +80,8 @@ def fit_psychometric(
     Counts follow a beta-binomial distribution: blocks of trials at one stimulus differ by more than chance, because
     attention varies. The fit maximises the posterior, with weak priors on lapse and guess and the overdispersion
     integrated out. The interval of the threshold holds every threshold whose profile of that posterior is within
-    chi^2 / 2 of the maximum, so it contains the estimate. Blocks of one participant share a threshold of their own: with
-    participants the interval is Student's, by the jackknife over them.
+    chi^2 / 2 of the maximum, so it contains the estimate. Blocks of one participant share a threshold of their own:
+    with participants the interval is Student's, by the jackknife over them.
 
     Args:
         stimulus: (K,) of each block of trials; a stimulus may come in several blocks.

@@ -21,7 +21,7 @@ ALPHA = 0.05
 
 
 def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_slope: float = 0.3) -> dict[str, Any]:
-    """Return trials whose logit of a correct answer rises by `slope`, with SD `own_slope`, per 2 N/s of the rate."""
+    """Return trials whose logit of a correct answer rises by `slope` (SD `own_slope`) per 2 N/s of the rate."""
     draw = np.random.default_rng(seed)
     who = np.repeat(np.arange(people), trials * AMPLITUDES.size)
     amplitude = np.tile(np.repeat(AMPLITUDES, trials), people)
@@ -35,7 +35,7 @@ def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_s
 
 
 def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2) -> dict[str, Any]:
-    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and in response."""
+    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response."""
     draw = np.random.default_rng(seed)
     who, group = (
         one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij")
@@ -47,7 +47,7 @@ def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: i
 
 
 def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tuple[Values, Values, NDArray[np.intp]]:
-    """Return 7 pairs of each participant, correlated by `effect` within and between participants, who differ by `own`."""
+    """Return 7 pairs of each participant, correlated by `effect` within and between participants (SD `own`)."""
     draw = np.random.default_rng(seed)
     who = np.repeat(np.arange(people), 7)
 
@@ -113,24 +113,23 @@ def main(studies: int) -> None:
     """Print the share of studies with p < 0.05."""
     for people in (4, 16):
         for slope, own in ((0.0, 0.0), (0.0, 0.3), (0.25, 0.0), (0.25, 0.3)):
-            found = share(lambda seed: mixed_model(**answered(seed, people, slope=slope, own_slope=own)).p, studies)
+            tables = [answered(seed, people, slope=slope, own_slope=own) for seed in range(studies)]
+            found = np.mean([mixed_model(**table).p < ALPHA for table in tables])
             print(f"mixed model: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
         for groups in (2, 7):
             for effect in (0.0, 1.0):
                 tables = [measured(seed, people, groups, effect) for seed in range(studies)]
                 own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
                 printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
-                print(
-                    f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {own_p:.3f}, one-way {printed:.3f}"
-                )
+                found = f"{own_p:.3f}, one-way {printed:.3f}"
+                print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {found}", flush=True)
         for effect in (0.0, 0.5):
             for kind in (pearson, spearman):
                 pairs = [related(seed, people, effect=effect) for seed in range(studies)]
                 own_p = np.mean([kind(x, y, participants=who).p < ALPHA for x, y, who in pairs])
                 alone = np.mean([kind(x, y).p < ALPHA for x, y, _ in pairs])
-                print(
-                    f"{kind.__name__}: {people} participants, r {effect:g}: {own_p:.3f}, pairs as independent {alone:.3f}"
-                )
+                found = f"{own_p:.3f}, pairs as independent {alone:.3f}"
+                print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
     for own in (0.0, 0.3):
         several = [of_statsmodels(answered(seed, 16, own_slope=own)) for seed in range(min(studies, 120))]
         for name in several[0]:
