@@ -107,6 +107,9 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
         axes.bar(np.arange(len(conditions)) + 0.27 * (number - 1), shares, 0.25, color=colour, label=name)
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
     axes.set_yticks(np.linspace(0, 1, 6))
+    axes.set_title(
+        f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants", fontsize="medium"
+    )
     finished(axes)
     axes.legend(frameon=False, fontsize="small", title=label_of(metric), title_fontsize="small", ncols=3)
     return axes

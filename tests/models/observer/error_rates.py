@@ -47,7 +47,7 @@ def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: i
 
 
 def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tuple[Values, Values, NDArray[np.intp]]:
-    """Return 7 pairs of each participant, correlated by `effect` within and between participants (SD `own`)."""
+    """Return 7 pairs of each participant, correlated by `effect` within and between participants (SD 1, `own`)."""
     draw = np.random.default_rng(seed)
     who = np.repeat(np.arange(people), 7)
 
@@ -84,7 +84,7 @@ def share(p_of: Callable[[int], float], studies: int) -> float:
 
 
 def of_statsmodels(table: dict[str, Any]) -> dict[str, float]:
-    """Return p of the rate by statsmodels, with intercept and slope of each participant, amplitudes as fixed effects."""
+    """Return p of the rate by statsmodels: intercept and slope of each participant, amplitudes as fixed effects."""
     import pandas as pd
     from statsmodels.formula.api import mixedlm
     from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
