@@ -123,6 +123,10 @@ def main(studies: int) -> None:
                 printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
                 found = f"{own_p:.3f}, one-way {printed:.3f}"
                 print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {found}", flush=True)
+        tables = [answered(seed, people, own_slope=0.0) for seed in range(studies)]
+        own_p = np.mean([repeated_anova(one["metric"], one["answer"], one["participants"]).p < ALPHA for one in tables])
+        printed = np.mean([one_way_anova(one["metric"], one["answer"]).p < ALPHA for one in tables])
+        print(f"ANOVA over answers: {people} participants, effect 0: {own_p:.3f}, one-way {printed:.3f}", flush=True)
         for effect in (0.0, 0.5):
             for kind in (pearson, spearman):
                 pairs = [related(seed, people, effect=effect) for seed in range(studies)]
