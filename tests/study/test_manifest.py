@@ -93,6 +93,12 @@ def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> 
         changed.scene_of(changed.trials[6])
 
 
+def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: Path) -> None:
+    assert study.design == "forced choice"
+    _edit(lab, 'trials = "trials.csv"', 'trials = "trials.csv"\ndesign = "yes/no"', "study.toml")
+    assert load_manifest(lab).design == "yes/no"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

@@ -9,7 +9,15 @@ import pandas as pd
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import leave_out_moved, observe, participant_groups, repeated_anova
+from fingerflow.models.observer import (
+    FORCED_CHOICE,
+    YES_NO,
+    leave_out_moved,
+    observe,
+    participant_groups,
+    repeated_anova,
+)
+from fingerflow.report.supplement import FIGURES, Sources
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
@@ -147,6 +155,17 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
     frame["answer"] = None
     without = {name: file for name, file, _ in write_figures(frame, sample_of(frame), curves, tmp_path / "two")}
     assert [name for name, file in without.items() if not file] == ["S11", "S12"]
+
+
+def test_the_curve_of_answers_follows_the_design() -> None:
+    """The simulated observer answers yes or no, and says yes to less than a half of what does not vibrate."""
+    trials = sample_of(pd.DataFrame(simulate_table(Design(participants=6, trials=6, softness=1.0)))).trials
+    for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
+        axes = FIGURES["S12"](Sources(trials=trials, design=design)).figure().axes[-1]
+        dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])
+        assert dots[0] < 0.4
+        assert (curve[0] < 0.4) == fits
+        assert f"{trials.answer.size} trials" in axes.get_legend().get_texts()[0].get_text()
 
 
 def test_a_trial_that_is_far_off_is_found() -> None:
