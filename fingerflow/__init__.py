@@ -25,7 +25,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Loads a public function, and with it torch and the rest, when it is first used."""
+    """Import a public function on first use, and only then torch and other libraries."""
     if name in _HOMES:
         try:
             return getattr(import_module(_HOMES[name]), name)

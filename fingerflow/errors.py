@@ -1,8 +1,8 @@
-"""The exceptions for what a user can put right: a file, a setting, a name."""
+"""Exceptions for errors that the user can correct in a file, a setting or a name."""
 
 
 class FingerflowError(Exception):
-    """Names the file or setting, the value that was found and the way out.
+    """Error that the user can correct; its message names the file or setting, the value found, and the remedy.
 
     The command line prints it without a traceback and exits with status 2. A stream ends with it; after any other error
     of its source it tries again.
@@ -10,15 +10,15 @@ class FingerflowError(Exception):
 
 
 class PlayerError(FingerflowError):
-    """What the user of a stream can put right."""
+    """Error that the user of a stream can correct."""
 
 
 class NoRoomError(FingerflowError):
-    """Memory or disk is too small for now: the same may go well another time."""
+    """Error for lack of memory or disk space, which may be transient: the same run may succeed another time."""
 
 
 def first_line(error: BaseException) -> str:
-    """Return what an error says first, in at most 160 letters; of a system error its words without number and path."""
+    """Return the first line of an error's message, up to 160 characters; of a system error without number and path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     line = (text.strip().splitlines() or [""])[0].strip("'\" ")
     return line[:160] or type(error).__name__

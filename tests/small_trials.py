@@ -36,6 +36,11 @@ TINY_PRESS = Press(
 SMALL_SLIP: dict[str, Any] = {
     "frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
 }  # fmt: skip
+#: 16 frames of 192 x 480 px, for `write_small`.
+SMALL_PRESS = Press(
+    n_frames=16, frame_rate=16.0, frames_before_trigger=1, frame_shape=(192, 480), finger=(3.2, 2.7),
+    semi_axes=(2.3, 1.9),
+)  # fmt: skip
 
 GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
@@ -54,6 +59,25 @@ TRIALS: dict[str, Press | Slide] = {
     "slide": Slide(**_SHAPE, finger=(2.9, 2.4)),
     "rolling": Rolling(**(_SHAPE | {"n_frames": 48}), finger=(2.9, 2.4), travel=2.2),
 }
+
+
+def write_small(folder: Path, trial: SyntheticScene) -> Path:
+    """Writes a recording of small contact; its scene file has windows that fit it, and says nothing of streams."""
+    write_recording(folder, trial)
+    scene = folder / "scene.toml"
+    edit(scene, ("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0"))
+    text = scene.read_text(encoding="utf-8")
+    scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
+    return scene
+
+
+def edit(path: Path, *changes: tuple[str, str]) -> None:
+    """Replaces the first of each text in a file; it has to be there."""
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
 
 
 def write_trial(folder: Path, kind: str = "press") -> Path:

@@ -1,4 +1,4 @@
-"""Calibration of a rig: millimetres per pixel, and the transform from one view to the other."""
+"""Calibration of a rig: millimetres per pixel, and the transform from the topography to the contact view."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,7 +17,8 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Scale, transforms and discs of a rig. All pixels are those of a view, (x, y), integers at pixel centres.
+    """Calibration of a rig: image scale, transforms between the views, and the discs behind them. All pixels are those
+    of a view, (x, y), integers at pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
     `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
@@ -60,7 +61,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration in a file with the text of `to_toml`.
+        """Return the calibration stored in a file that holds a text of `to_toml`.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """
@@ -81,7 +82,7 @@ class Calibration:
 
 
 def is_calibration(path: Path) -> bool:
-    """Return True if a file is a calibration as `to_toml` writes it."""
+    """Return True if a file is a valid calibration file."""
     try:
         read_calibration(path)
     except CalibrationError:
@@ -94,7 +95,7 @@ def _section(title: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """Format numbers, also NumPy's, and lists of them for TOML, at full precision."""
+    """Format a number, also one of NumPy, or a list of numbers for TOML, at full precision."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(_written, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))

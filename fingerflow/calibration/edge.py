@@ -1,4 +1,4 @@
-"""Sub-pixel fit of one dark disc: an ellipse fitted to its edge.
+"""Sub-pixel measurement of one dark disc by an ellipse fitted to its edge.
 
 The image is unwrapped along the current ellipse: rows are angles, columns are radii. In the unwrapped image the edge is
 a straight line, so smoothing along and across it does not shift it inwards. Smoothing the image itself would (by
@@ -29,7 +29,8 @@ RAGGEDNESS_HARMONICS = range(3, 9)
 
 @dataclass(frozen=True)
 class Disc:
-    """A dark disc in a view, imaged as an ellipse. Pixels are those of the view, (x, y), integers at pixel centres.
+    """Measured dark disc of a view, which is imaged as an ellipse. Pixels are those of the view, (x, y), integers at
+    pixel centres.
 
     `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
     `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
@@ -49,17 +50,18 @@ class Disc:
 
     @property
     def radius_px(self) -> float:
-        """Return the radius of the circle of equal area."""
+        """Return the radius, px, of the circle with the disc's area."""
         return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
 
     @property
     def axis_ratio(self) -> float:
-        """Return the shorter over the longer axis, at most 1."""
+        """Return the ratio of the disc's shorter to its longer semi-axis, at most 1."""
         return self.semi_axes_px[1] / self.semi_axes_px[0]
 
 
 def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Disc | None:
-    """Fit the dark disc in an image (H, W) near a guessed circle, whose centre is in the image.
+    """Fit an ellipse to the edge of the dark disc in an image (H, W) near a guessed circle, whose centre is in the
+    image.
 
     Returns None if there is no edge around it, or if the fit diverges from the guess.
     """
@@ -92,7 +94,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 
 class _Unwrapped:
-    """Grey levels (rays, radii) of an image around an ellipse {p : |inverse (p - middle)| = 1}.
+    """Image unwrapped around an ellipse {p : |inverse (p - middle)| = 1}: grey levels (rays, radii).
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
@@ -119,7 +121,7 @@ class _Unwrapped:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return the steepest point of every ray (N, 2) and its angle (N,); rays without one are left out."""
+        """Return edge positions (N, 2) and angles (N,): on each ray the point of the steepest rise, if there is one."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
@@ -135,7 +137,7 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the contrast (outside - inside) / outside, and the mean step over its spread from ray to ray."""
+        """Return the disc's contrast (outside - inside) / outside, and its brightness step over the spread of rays."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
@@ -153,7 +155,7 @@ class _Unwrapped:
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Fit by robust geometric least squares (Gauss-Newton); return (middle, inverse, weights), or None if it fails."""
+    """Fit an ellipse to edge points by robust Gauss-Newton least squares: (middle, inverse, weights), or None."""
     if len(points) < 12:
         return None
     # Few iterations suffice: the next unwrapping starts from this result.
@@ -175,7 +177,8 @@ def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, A
 
 
 def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array]:
-    """Return signed distances (N,) px to the ellipse, to first order (Sampson 1982), and their Jacobian (N, 5).
+    """Return signed distances (N,) px of points to the ellipse, to first order (Sampson 1982), and their Jacobian (N,
+    5).
 
     The unknowns are the centre (x, y) and the symmetric inverse shape (xx, xy, yy), which, unlike axes and an angle, is
     regular at a circle.
@@ -198,7 +201,7 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Return the standard deviation (px) of the centre from the contour's raggedness (see RAGGEDNESS_HARMONICS)."""
+    """Return the standard deviation (px) of the disc's centre, from the contour's raggedness (RAGGEDNESS_HARMONICS)."""
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

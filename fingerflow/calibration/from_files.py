@@ -1,4 +1,4 @@
-"""Calibration from files of a ring and of a target to a calibration file, with an overlay image of the result."""
+"""Calibration from image files of the ring and of the disc target, written to a file with an overlay image."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,8 @@ def calibrate_files(
     output: Path | str = FILE,
     overwrite: bool = False,
 ) -> Calibration:
-    """Determine scale and view-to-view transform and write them; the result is also drawn to a PNG beside the file.
+    """Determine image scale and view-to-view transform from files, write a calibration file, and draw the result to a
+    PNG beside it.
 
     Args:
         ring: an image, or a recording whose first frame is used; likewise the other two.

@@ -1,4 +1,4 @@
-"""Calibration from frames of the registration target and the scale ring; no coordinate is set by hand."""
+"""Calibration from one frame of the registration target and one of the scale ring, without manual coordinates."""
 
 from collections.abc import Mapping
 from typing import Any

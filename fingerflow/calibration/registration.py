@@ -1,4 +1,4 @@
-"""Registration of two views: correspondence of their discs, and the transform between them."""
+"""Registration of the two views: matching of discs between them, and the fitted transform."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
@@ -24,7 +24,7 @@ AMBIGUOUS = 0.5
 
 @dataclass(frozen=True)
 class Transform:
-    """Affine or similarity `matrix` (2, 3) float64 from (x, y, 1) px to (x, y) px, and its residuals.
+    """Transform between two views: affine or similarity `matrix` (2, 3) float64 from (x, y, 1) px to (x, y) px.
 
     `residuals_px` (N, 2) are found minus transformed.
     """
@@ -34,12 +34,13 @@ class Transform:
 
     @property
     def rms_px(self) -> float:
-        """Return the root mean square length of the residuals."""
+        """Return the root mean square length of the residuals, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 
 def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc, Disc]]:
-    """Return the same three discs in two views as pairs: the largest first, then clockwise in the image (y down).
+    """Match three discs of one view to the same discs of another; return the pairs, largest first, then clockwise (y
+    down).
 
     The labels follow from the shape alone. Of all pairs of triangles, the pair is chosen that agrees best up to a
     similarity, in the positions and sizes of the discs, weighted by their significance. Raises FingerflowError if there
@@ -56,7 +57,7 @@ def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc
 
 
 def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """Fit the affine transform (N, 2) px to (N, 2) px: exact for three points, least squares for more.
+    """Fit the affine transform between two lists of points (N, 2) px: exact for three points, least squares for more.
 
     Raises FingerflowError for fewer than three points, or points on a line.
     """
@@ -69,7 +70,7 @@ def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
 
 
 def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """Fit rotation, scale and shift (N, 2) px to (N, 2) px by least squares; never a reflection.
+    """Fit rotation, scale and shift between two lists of points (N, 2) px by least squares; never a reflection.
 
     With z and w the centred points as complex numbers it is w = s z, s = sum(conj(z) w) / sum(|z|^2).
     Raises FingerflowError for fewer than two points, or points that coincide.
@@ -99,14 +100,14 @@ def _transform(linear: Array, source: Array, target: Array) -> Transform:
 
 
 def _centered_complex(points: Array) -> NDArray[np.complex128]:
-    """Return points (..., N, 2) as x + iy about their mean (..., N)."""
+    """Return points (..., N, 2) less their mean, as complex numbers x + iy (..., N)."""
     centered = points - points.mean(axis=-2, keepdims=True)
     result: NDArray[np.complex128] = centered[..., 0] + 1j * centered[..., 1]
     return result
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
-    """Return the triples of discs (T, 3) that are not collinear; raises FingerflowError if there are none."""
+    """Return those triples of discs (T, 3) that are not collinear; raise FingerflowError if there are none."""
     indices = np.array(triples)
     corners = np.array([disc.center for disc in discs])[indices]
     sides = np.roll(corners, -1, axis=1) - corners

@@ -1,4 +1,4 @@
-"""The command line: one command a function, no logic; each file has the commands of one purpose."""
+"""Command line of fingerflow: each function is a command without logic, each file groups commands of one purpose."""
 
 import _thread
 import signal
@@ -7,17 +7,14 @@ import threading
 
 import typer
 
-from fingerflow.cli import bundles as live  # noqa: F401  commands add themselves
-from fingerflow.cli import preparation, processing, reporting, study, tables, viewing  # noqa: F401  commands add themselves
-from fingerflow.cli import synthetic_recordings as synthetic  # noqa: F401  commands add themselves
+from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401  commands add themselves  # noqa: F401
+from fingerflow.cli.app import INTERRUPTED
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError
 
-_INTERRUPTED = 130  # exit status, as shells have it for SIGINT
-
 
 def main() -> None:
-    """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    """Run the command line; exit status 0 for success, 2 for an error that the user can correct, 130 if interrupted."""
     others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
@@ -26,7 +23,7 @@ def main() -> None:
         typer.echo(f"fingerflow: {error}", err=True)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
-        code = _INTERRUPTED
+        code = INTERRUPTED
     except Exception as error:
         # Wrong usage: typer's own message, with the place in the command line.
         if hasattr(error, "show") and hasattr(error, "exit_code"):
@@ -35,7 +32,7 @@ def main() -> None:
         raise
     finally:
         sys.unraisablehook = others
-    if code == _INTERRUPTED:
+    if code == INTERRUPTED:
         typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
     sys.exit(code)
 

@@ -1,4 +1,4 @@
-"""The application to which commands add themselves, and the options that several of them have."""
+"""Typer application to which all commands are added, and options that several commands share."""
 
 import json
 from typing import Annotated, Any
@@ -8,6 +8,7 @@ import typer
 app = typer.Typer(
     help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True
 )
+INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")
@@ -15,15 +16,20 @@ Overwrite = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """`fingerflow.process` with a progress bar, unless it is to be quiet; torch is loaded here."""
+    """Run `fingerflow.process` with a progress bar unless `quiet`; torch is imported only here."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
 
 
-def print_json(facts: Any) -> None:
-    """For machines."""
-    typer.echo(json.dumps(facts, indent=1))
+def tell(facts: Any, text: str, as_json: bool) -> None:
+    """Print facts as JSON for machines, or else text."""
+    typer.echo(json.dumps(facts, indent=1) if as_json else text)
+
+
+def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
+    """Print facts as JSON for machines, or else one a line."""
+    tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 
 def _tell_version(wanted: bool) -> None:

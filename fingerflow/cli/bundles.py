@@ -1,4 +1,4 @@
-"""Bundles for live streams."""
+"""Commands for deployment bundles, which process live streams."""
 
 import logging
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, app, print_json
+from fingerflow.cli.app import AsJson, app, tell
 from fingerflow.errors import FingerflowError
 
 if TYPE_CHECKING:
@@ -23,10 +23,8 @@ def export(
     from fingerflow.export import as_text, export_bundle
 
     rows = export_bundle(recipe, bundle, progress=not as_json)
-    if as_json:
-        print_json({"bundle": str(bundle), "differences": [row._asdict() for row in rows]})
-    else:
-        typer.echo(f"{as_text(rows)}\n\nbundle: {bundle}")
+    facts = {"bundle": str(bundle), "differences": [row._asdict() for row in rows]}
+    tell(facts, f"{as_text(rows)}\n\nbundle: {bundle}", as_json)
 
 
 @app.command(
@@ -41,7 +39,7 @@ def stream(context: typer.Context) -> None:
 
 
 def _forces_of(file: Path) -> "LiveForces | None":
-    """Return the forces as `process` does; None where they cannot be read, and the log says why."""
+    """Return the forces of a scene as `process` computes them; log why and return None if they cannot be read."""
     from fingerflow.pipeline.run import process
     from fingerflow.player.live_data import LiveForces
     from fingerflow.schema.scene import load_scene

@@ -1,11 +1,11 @@
-"""Before a scene is processed: what a recording holds, the scene file, the calibration."""
+"""Commands that prepare a scene: facts about a recording, the scene file, and the calibration."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, print_json
+from fingerflow.cli.app import AsJson, Overwrite, app, tell_facts
 from fingerflow.errors import FingerflowError
 
 
@@ -65,10 +65,7 @@ def info(recording: Path, as_json: AsJson = False) -> None:
         "unreadable": {str(index): reason for index, reason in found.unreadable.items()},
         "warnings": list(found.warnings),
     }
-    if as_json:
-        print_json(facts)
-    else:
-        typer.echo("\n".join(f"{name:14} {value}" for name, value in facts.items()))
+    tell_facts(facts, as_json)
 
 
 PixelRanges = tuple[int, int, int, int]
@@ -114,7 +111,4 @@ def calibrate(
         "calibration": str(output),
         "picture": str(output.with_suffix(".png")),
     }
-    if as_json:
-        print_json(facts)
-    else:
-        typer.echo("\n".join(f"{name:18} {value}" for name, value in facts.items()))
+    tell_facts(facts, as_json)

@@ -1,4 +1,4 @@
-"""From a scene to a result, and what results there are."""
+"""Commands that compute results from a scene, and that list the variables of results."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
+from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -57,24 +57,17 @@ def process(
     result = process_scene(
         loaded, variables, quiet=as_json, device=device, engine=engine, to=path, overwrite=overwrite, earlier=earlier
     )
-    taken = json.loads(result.attrs["taken_over"]) if earlier is not None else None
-    if as_json:
-        print_json(
-            {
-                "result": str(path),
-                "variables": sorted(map(str, result.data_vars)),
-                "warnings": json.loads(result.attrs["warnings"]),
-                **({} if taken is None else {"taken_over": taken}),
-            }
-        )
-    else:
-        for warning in json.loads(result.attrs["warnings"]):
+    warnings = json.loads(result.attrs["warnings"])
+    facts = {"result": str(path), "variables": sorted(map(str, result.data_vars)), "warnings": warnings}
+    lines = []
+    if earlier is not None:
+        facts["taken_over"] = taken = json.loads(result.attrs["taken_over"])
+        lines = [f"taken from {earlier}: {', '.join(taken['stages']) or 'nothing'}"]
+        lines += [f"computed: {stage}, since {why}" for stage, why in taken["computed"].items()]
+    if not as_json:
+        for warning in warnings:
             typer.echo(f"warning: {warning}", err=True)
-        if taken is not None:
-            typer.echo(f"taken from {earlier}: {', '.join(taken['stages']) or 'nothing'}")
-            for stage, why in taken["computed"].items():
-                typer.echo(f"computed: {stage}, since {why}")
-        typer.echo(f"result: {path}")
+    tell(facts, "\n".join([*lines, f"result: {path}"]), as_json)
 
 
 @app.command()
@@ -88,7 +81,4 @@ def outputs(
     rows = [row for row in dictionary() if not names or any(name in row.name for name in names)]
     if not rows:
         raise FingerflowError(f"no variable is called {' or '.join(names or ())}; `fingerflow outputs` lists all")
-    if as_json:
-        print_json([row._asdict() for row in rows])
-    else:
-        typer.echo("\n".join(map(str, rows)))
+    tell([row._asdict() for row in rows], "\n".join(map(str, rows)), as_json)

@@ -1,4 +1,4 @@
-"""From results to pages, figures and verdicts."""
+"""Commands that turn results into pages, figures and verdicts."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
+from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -125,15 +125,10 @@ def figures(
         design=YES_NO if yes_no else FORCED_CHOICE,
     )
     written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
-    if as_json:
-        print_json(
-            [
-                {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)}
-                for one in written
-            ]
-        )
-    else:
-        typer.echo("\n".join(map(str, written)))
+    facts = [
+        {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)} for one in written
+    ]
+    tell(facts, "\n".join(map(str, written)), as_json)
 
 
 def _pairs(option: str, given: list[str] | None) -> dict[str, str]:

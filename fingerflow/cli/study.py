@@ -1,11 +1,11 @@
-"""Commands of a study: many recordings, one table."""
+"""Commands for studies, which compute one table from many recordings."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import app
+from fingerflow.cli.app import INTERRUPTED, app
 from fingerflow.errors import FingerflowError
 
 study = typer.Typer(
@@ -30,7 +30,6 @@ Together = Annotated[
     ),
 ]
 Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
-_INTERRUPTED = 130
 
 
 @study.command()
@@ -62,7 +61,7 @@ def run(
     ] = False,
     together: Together = None,
 ) -> None:
-    """Process what has no result yet, or another one than it should, and write the table of trials."""
+    """Process all trials whose result is missing or out of date, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.run_study import plan_run, run_study
     from fingerflow.study.table import write_tables
@@ -78,7 +77,7 @@ def run(
     typer.echo(str(summary))
     typer.echo(f"table: {write_tables(loaded).trials}")
     if summary.interrupted:
-        raise typer.Exit(_INTERRUPTED)
+        raise typer.Exit(INTERRUPTED)
 
 
 @study.command()

@@ -1,4 +1,4 @@
-"""Recordings with known truth."""
+"""Commands that write synthetic recordings with known truth."""
 
 import shutil
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, app, print_json, process_scene
+from fingerflow.cli.app import AsJson, app, process_scene, tell
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.unfinished import unfinished
 
@@ -35,10 +35,8 @@ def demo(
     save_result(result, folder / "result.h5")
     rows = compare(result, rebuild_scene(folder))
     report = write_report(result, scene, folder, rows)
-    if as_json:
-        print_json({"report": str(report), "comparison": [row._asdict() for row in rows]})
-    else:
-        typer.echo(f"{as_text(rows)}\n\nresult: {folder / 'result.h5'}\nreport: {report}")
+    facts = {"report": str(report), "comparison": [row._asdict() for row in rows]}
+    tell(facts, f"{as_text(rows)}\n\nresult: {folder / 'result.h5'}\nreport: {report}", as_json)
 
 
 @app.command()
@@ -72,7 +70,7 @@ def simulate(
 
 
 def _remove_demo(folder: Path) -> None:
-    """Removes what an earlier demo wrote; raises FingerflowError, and removes nothing, where anything else is there."""
+    """Remove the files of an earlier demo; raise FingerflowError, removing nothing, if the folder holds others."""
     for name in _DEMO_FILES:
         unfinished(folder / name)  # removes what a killed demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)

@@ -1,4 +1,4 @@
-"""From results to files for other programs."""
+"""Commands that export results to files for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -28,9 +28,6 @@ def export_table(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a result as CSV (a row a frame, a point or a step of a track) or .mat (everything)."""
-    if result.is_dir() and table.suffix == ".csv" and rows == "frame" and not variables:
-        _export_stream(result, table, overwrite)
-        return
     from fingerflow.results import tables
     from fingerflow.results.result import load_result
     from fingerflow.results.stream_result import open_stream
@@ -54,14 +51,3 @@ def export_map(
 
     tables.export_map(load_result(result), picture, variable, step_mm, overwrite)
     typer.echo(f"{picture} was written")
-
-
-def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
-    """The player's own table has the same columns, and needs no torch."""
-    from fingerflow.player import write_table
-    from fingerflow.results.atomic_write import keep_others
-    from fingerflow.results.tables import is_table
-
-    keep_others(table, is_table, overwrite)
-    write_table(folder, table, overwrite=True)
-    typer.echo(f"{table} was written")

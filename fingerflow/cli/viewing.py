@@ -1,4 +1,4 @@
-"""The page to set up scenes and to look at results."""
+"""Command that opens the page to set up scenes and view results."""
 
 from pathlib import Path
 from typing import Annotated

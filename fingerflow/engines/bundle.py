@@ -41,7 +41,7 @@ GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 
 @dataclasses.dataclass(frozen=True)
 class Bundle:
-    """Deployment bundle whose files match their hashes.
+    """Content of a deployment bundle whose graph files match their hashes.
 
     Attributes:
         height, width, bit_depth: of a view: px, px, and bits of a pixel, 8 to 16.
@@ -64,12 +64,15 @@ class Bundle:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Return the data type of a pixel."""
+        """Return the data type of a pixel: uint8 for 8 bits, else uint16."""
         return np.dtype(np.uint8 if self.bit_depth == 8 else np.uint16)
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Return the bundle of a folder after checking every graph's file against its hash; raise PlayerError."""
+    """Load the deployment bundle of a folder and check every graph file against its hash.
+
+    Raise PlayerError for a missing, damaged or foreign file.
+    """
     path = folder / "bundle.json"
     again = "export the bundle again, or copy its folder again"
     try:
@@ -117,7 +120,10 @@ def load_bundle(folder: Path) -> Bundle:
 
 
 def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
-    """Return the engine settings of a bundle from its recipe (all keys, as in bundle.json); strain is the default."""
+    """Return the engine settings of a bundle from its recipe, all keys as in bundle.json.
+
+    The strain measure is the default.
+    """
     stated = {**recipe["contact"], **recipe["tracking"], **recipe["fields"]}
     names = {one.name for one in dataclasses.fields(EngineSettings)} - {"strain"}
     return EngineSettings(**{name: stated[name] for name in names})

@@ -1,4 +1,7 @@
-"""Bilinear interpolation of the density margin between cells, in NumPy: the same as `ops.contact.cells`."""
+"""Test in NumPy whether the apparent contact covers points, by interpolation of the density margin between cells.
+
+The results are those of `ops.contact.cells`.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ _NOWHERE = np.float32(-1e4)
 
 
 def covered(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:
-    """Return whether the apparent contact covers points, (K, N) bool; False outside the view and where a point is NaN.
+    """Return a mask (K, N) bool of the points that the apparent contact covers.
+
+    It is False outside the view and where a point is NaN.
 
     Args:
         density_margin: (K, 1, h, w) of `FrameContact`, on cells of `cell` px.
@@ -35,7 +40,7 @@ def covered(density_margin: Array, points: Array, topography_to_contact: Array, 
 
 
 def _at_places(cells: Array, x: Array, y: Array) -> Array:
-    """Return bilinear values (K, N) of cells (K, 1, h, w) at positions (K, N) in units of cells.
+    """Interpolate cells (K, 1, h, w) bilinearly at positions (K, N), in units of cells.
 
     Positions beyond the middle of the outermost cells are clamped to it.
     """

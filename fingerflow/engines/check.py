@@ -1,4 +1,4 @@
-"""Check of an engine by a built-in frame, for which the deployment bundle holds the expected results.
+"""Check of an engine: compare its results for a built-in frame with those stored in the deployment bundle.
 
 An engine with other results computes wrongly on this computer.
 """
@@ -27,7 +27,10 @@ _FLIPS = 0.01  # share of the values that may be finite in only one of both resu
 
 
 class Tolerance(NamedTuple):
-    """Largest difference that rounding explains, as a share of the value if `relative`, and its unit."""
+    """Largest difference between two results that rounding explains, and its unit.
+
+    If `relative`, it is a share of the value.
+    """
 
     most: float
     unit: str
@@ -48,7 +51,7 @@ TOLERANCES = {
 
 
 class BuiltIn(NamedTuple):
-    """Views (H, W) of the built-in frame, and N points in it.
+    """Views (H, W) of the built-in test frame, and N points in them.
 
     Attributes:
         empty, contact: contact view without and with contact.
@@ -66,7 +69,7 @@ class BuiltIn(NamedTuple):
 
 
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
-    """Check the results of an engine for the built-in frame against those stored in a bundle.
+    """Check that the results of an engine for the built-in frame agree with those stored in a bundle.
 
     Args:
         engine: created for the views and the number of points of the bundle.
@@ -107,7 +110,7 @@ def _sentence(engine: Engine, found: str) -> str:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, by the keys of `TOLERANCES`."""
+    """Compute an engine's results for the built-in frame: contact and tracked points, by the keys of `TOLERANCES`."""
     light = engine.light(frame.empty.astype(np.float32), None)
     contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
     templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
@@ -124,7 +127,7 @@ def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
 
 
 def built_in(height: int, width: int, bit_depth: int, points: int, window_px: int) -> BuiltIn:
-    """Return the built-in frame of this size with so many points."""
+    """Create the built-in test frame of a given size, with a given number of points."""
     y, x = np.mgrid[:height, :width].astype(np.float64)
     middle = np.array([width / 2, height / 2])
     along, across = (x - middle[0]) / (0.36 * width), (y - middle[1]) / (0.3 * height)
@@ -150,7 +153,7 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
 
 
 def _texture(x: Array, y: Array) -> Array:
-    """Return grey levels of a sum of waves 7 to 20 px long in all directions: no two places look alike."""
+    """Return a texture in grey levels: a sum of waves 7 to 20 px long in all directions, nowhere alike."""
     total = np.zeros_like(x)
     for wave in range(_WAVES):
         turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and ratio: nothing repeats
@@ -160,7 +163,7 @@ def _texture(x: Array, y: Array) -> Array:
 
 
 def spread(height: int, width: int, count: int, margin: int = 0) -> Array:
-    """Return points (count, 2) px spread evenly over a view without its margin."""
+    """Return points (count, 2) px spread evenly over a view, except its margin."""
     columns = math.ceil(math.sqrt(count * width / height))
     number, rows = np.arange(count), -(-count // columns)
     places = []

@@ -22,7 +22,7 @@ log = logging.getLogger("fingerflow.player")
 
 
 def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Engine:
-    """Return the engine of a recording.
+    """Create the engine of a recording.
 
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
@@ -49,7 +49,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
-    """Return the engine of a stream, and log which one it is and why.
+    """Create the engine of a stream, and log which one it is and why.
 
     Native is tried first: it is taken if the library loads and reproduces the expected results of the bundle for the
     built-in frame. Otherwise ONNX Runtime computes the graphs of the bundle, with the first execution provider that
@@ -97,7 +97,7 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
 
 
 def _why_not_native(bundle: Bundle) -> str:
-    """Return why the compiled library cannot be used for a bundle; an empty string if it can."""
+    """Return the reason why the compiled library cannot be used for a bundle; an empty string if it can."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"
     if bundle.recipe["export"]["precision"] != "float32":

@@ -1,4 +1,4 @@
-"""Interface of the engines, and the arrays that they take and return."""
+"""Interface of the engines, and the arrays that are passed to and from them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class EngineSettings:
 
 
 class GlassLight(NamedTuple):
-    """Counts of each pixel for the empty glass, in the engine's own representation.
+    """Light of the empty glass and black level per pixel, in the engine's own representation.
 
     `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
     """
@@ -75,14 +75,14 @@ class FrameContact(NamedTuple):
 
 
 class KeyFrame(NamedTuple):
-    """Key frame in the engine's own representation, and the standard deviation of its noise in grey levels."""
+    """Key frame in the engine's own representation, and the standard deviation of its white noise in grey levels."""
 
     image: Images
     noise: float
 
 
 class TemplateBuffers(Protocol):
-    """Templates of N points in buffers of the engine."""
+    """Templates of N points, stored in buffers of the engine."""
 
     @property
     def numbers(self) -> Array:
@@ -91,7 +91,7 @@ class TemplateBuffers(Protocol):
 
 
 class FoundPoints(NamedTuple):
-    """Points found in K frames.
+    """Points tracked in K frames; lost points are NaN.
 
     Attributes:
         points: (K, N, 2) px, NaN where the status is not TRACKED.
@@ -109,16 +109,19 @@ class FoundPoints(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Return the variance of the positions (K, N) px^2, the mean of both components."""
+        """Return the variance (K, N) px^2 of a position component, the mean of x and y."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Return a selection of frames, of all points or of some."""
+        """Select some frames, and all points or some; return the results for them."""
         return FoundPoints(*(one[frames][:, points] for one in self))
 
 
 class Followed(NamedTuple):
-    """Points found in K frames; their position (N, 2) px and speed (N, 2) px a frame after the last one."""
+    """Points tracked through K frames, and their positions and speeds after the last frame.
+
+    Positions are (N, 2) px, speeds (N, 2) px a frame.
+    """
 
     found: FoundPoints
     place: Array
@@ -126,7 +129,7 @@ class Followed(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """Points corrected for the deformation of the skin.
+    """Tracked points, corrected for the deformation of the skin.
 
     Attributes:
         found: with corrected points and covariances.
@@ -150,7 +153,7 @@ class FrameEllipse(NamedTuple):
 
 
 class EnteredPoints(NamedTuple):
-    """Points that were advected into the contact (`tracker.entry`), with displacement gradients since their own entry.
+    """Points that were advected into the contact (`tracker.entry`), with displacement gradients since entry.
 
     Attributes:
         among: (K, N) bool, True for the points that were advected.
@@ -164,14 +167,17 @@ class EnteredPoints(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) at query points, and their covariance (K, Q, C, 2, C, 2), None without variances."""
+    """Gradients (K, Q, C, 2) fitted at query points, and their covariance (K, Q, C, 2, C, 2).
+
+    The covariance is None where no variances were given.
+    """
 
     gradient: Array
     covariance: Array | None
 
 
 class FrameFields(NamedTuple):
-    """Fields at N points of K frames and medians over the apparent contact, as in `graphs.fields_graph`."""
+    """Fields at N points of K frames, and their medians over the apparent contact, as in `graphs.fields_graph`."""
 
     divergence: Array
     curl: Array
@@ -186,7 +192,7 @@ class FrameFields(NamedTuple):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Interface of an engine: computation of frames without a history.
+    """Interface of an engine: stateless computations on frames.
 
     The engine creates and reads templates and key frames; the caller keeps them. All methods but `update` may be called
     from several threads at once. Positions are (x, y) px, float32; pixel centres lie at integers.
@@ -204,58 +210,59 @@ class Engine(Protocol):
     cell_px: int
 
     def images(self, frames: Array) -> Images:
-        """Return frames (K, H, W) of a view, 8 to 16 bit or floating point, in the engine's own representation.
+        """Convert frames (K, H, W) of a view, 8 to 16 bit or floating point, to the engine's own representation.
 
         They are not copied where this can be avoided, and never written to.
         """
         ...
 
     def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        """Return `ops.glass_light` of the empty glass (H, W) and of the view without light (H, W), counts.
+        """Compute the light of the empty glass and the black level (`ops.glass_light`), from counts (H, W).
 
-        Where the mask `inside` (H, W) bool is False, `light` is set to 0, so that no contact is found there.
+        `dark` is the view without light. Where the mask `inside` (H, W) bool is False, `light` is set to 0, so that no
+        contact is found there.
         """
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Return the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN."""
+        """Compute the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none for NaN."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
-        """Return the relative intensity loss (K,) half-way between ridges and the skin beside them.
+        """Measure the contact threshold (K,): the relative intensity loss half-way between ridges and valleys.
 
         It is NaN without contact.
         """
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) of the points (K, N, 2) px of the topography view that the apparent contact covers.
+        """Return a mask (K, N) of the points (K, N, 2) px of the topography view under the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """
         ...
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
-        """Return up to `count` points (n, 2) px worth tracking inside a mask (H, W) bool, strongest first."""
+        """Detect up to `count` corners (n, 2) px inside a mask (H, W) bool, strongest first."""
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a copy of a frame (1, 1, H, W) with its noise."""
+        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of its noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
-        """Return templates of points (N, 2) px of a key frame, deformed by `warp` (N, 2, 2).
+        """Prepare the templates of points (N, 2) px in a key frame, deformed by `warp` (N, 2, 2).
 
         Points that are NaN match nothing.
         """
         ...
 
     def update(self, templates: Any, rows: Array, updated: Any) -> None:
-        """Replace the templates of the rows (L,) by those that `prepare` has returned."""
+        """Replace the templates with indices `rows` (L,) by templates that `prepare` has returned."""
         ...
 
     def follow(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
-        """Track templates, or the rows (L,) of them, through consecutive frames.
+        """Track templates, all or those with indices `rows` (L,), through consecutive frames.
 
         Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
         `tracker.point_prediction`. A point that one step does not reach is tracked on from where it ended, in up to
@@ -264,41 +271,47 @@ class Engine(Protocol):
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Correct points for the deformation of which their templates do not know (`graphs.DeformationGraph`).
+        """Correct tracked points for the skin's deformation since their templates were prepared.
 
-        `start` (N, 2) px lies in the key frame; statistics `numbers` (N, 32) and inverse deformation (N, 2, 2) are
-        those of the templates.
+        The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
+        (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
         """
         ...
 
     def neighbours(self, start: Array) -> Any:
-        """Return the neighbour lists of points (N, 2) px of a key frame, an input of `outliers`."""
+        """Return the neighbour lists of points (N, 2) px in a key frame, an input of `outliers`."""
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """Return two masks (K, N): points off their neighbours, and far more uncertain (`ops.tracking.outliers`)."""
+        """Return two masks (K, N): points that deviate from their neighbours, and points far more uncertain than these.
+
+        The test is that of `ops.tracking.outliers`.
+        """
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Return positions (n, 2) px of key frame points, searched for around guesses (n, 2).
+        """Search for key-frame points around guesses (n, 2) px; return the positions (n, 2) px found.
 
         Also return whether (n,) the search backward returns to the start.
         """
         ...
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
-        """Return grey levels (N, m) of deformed windows around places (N, 2) px, sampled on a grid of `step` px.
+        """Sample the grey levels (N, m) of deformed windows around positions (N, 2) px, on a grid of `step` px.
 
         `number` (N,) is the frame of each window.
         """
         ...
 
     def noise(self, image: Images) -> float:
-        """Return the standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
+        """Estimate the standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """Fit `ops.local_gradients` in float64: points (N, 2), values (K, N, C), queries (Q, 2), variance (K, N)."""
+        """Fit gradients at queries (Q, 2) to values (K, N, C) at points (N, 2) in float64, as `ops.local_gradients`.
+
+        `variance` (K, N) is that of a component of a value.
+        """
         ...
 
     def fields(
@@ -309,12 +322,12 @@ class Engine(Protocol):
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        """Return fields of displacements (K, N, 2) mm at reference positions (N, 2) mm, over the gauge length."""
+        """Compute the fields of displacements (K, N, 2) mm at reference positions (N, 2) mm, over the gauge length."""
         ...
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return the result of so many frames for 0 points."""
+    """Return the tracking result of a number of frames without points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

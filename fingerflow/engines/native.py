@@ -33,7 +33,10 @@ from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS,
 
 @dataclass
 class _NativeTemplates:
-    """Templates of N points: start (1, N, 2), samples and numbers, as `kernels.tracking.prepare_templates` returns."""
+    """Templates of N points: reference positions (1, N, 2), samples and statistics.
+
+    They are the results of `kernels.tracking.prepare_templates`.
+    """
 
     arrays: tuple[Array, Array, Array]
 
@@ -44,7 +47,7 @@ class _NativeTemplates:
 
 
 class NativeEngine:
-    """Engine that computes with the compiled library (`engine.Engine`).
+    """Engine that computes with the compiled library; it implements `engine.Engine`.
 
     Methods that call the library raise RuntimeError if it cannot be used.
     """
@@ -183,7 +186,10 @@ class NativeEngine:
 
 
 def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """Return `ops.glass_light` of images (H, W): light, 0 where the glass is not lit, and black."""
+    """Compute the light of the empty glass, 0 where it is not lit, and the black level, as `ops.glass_light`.
+
+    Images are (H, W).
+    """
     black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
     light = empty - black
     step = max(1, min(light.shape) // PIXELS_OF_LIGHT)

@@ -1,4 +1,4 @@
-"""Fields at points of frames and medians over their contact, by the compiled library: NumPy arrays in and out."""
+"""Fields at tracked points and their medians over the contact, by the compiled library, from NumPy arrays."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def fields_of_frames(
     covariance: Array | None = None,
     entered: EnteredPoints | None = None,
 ) -> FrameFields:
-    """Compute the fields of K frames and medians over the apparent contact, as `graphs.FieldsGraph` does.
+    """Compute fields at N points of K frames and their medians over the apparent contact, as `graphs.FieldsGraph`.
 
     Args:
         reference: (1 or K, N, 2) float32 reference positions.
@@ -70,7 +70,7 @@ def fields_of_frames(
 def _point_gradients(
     reference: Array, displacement: Array, gauge_length: float, covariance: Array | None
 ) -> tuple[Array, Array | None]:
-    """Fit gradients (K, N, 2, 2) and their covariance, as `ops.fields.point_gradients` does."""
+    """Fit displacement gradients (K, N, 2, 2) at the points, and their covariance, as `ops.fields.point_gradients`."""
     radius, noise = gauge_length / 2, None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
     fit = local_gradients(
         *(reference, displacement, reference, noise),
@@ -95,7 +95,10 @@ def _area_medians(
     measure: str,
     entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Return medians over the ellipse, their standard deviations and the known share, as `ops.fields.area_medians`."""
+    """Compute the medians of fields over the ellipse, their standard deviations and the known share of its area.
+
+    The results are those of `ops.fields.area_medians`.
+    """
     batch = len(displacement)
     ellipses = np.empty((batch, 6), np.float32)
     ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
@@ -118,7 +121,7 @@ def _area_medians(
 
 
 def _fields(parts: Array, measure: str) -> Array:
-    """Return divergence, curl, exx, eyy and exy (5, P) of gradients (4, P), in the order du/dx, du/dy, dv/dx, dv/dy."""
+    """Compute divergence, curl, exx, eyy and exy (5, P) from gradients (4, P), rows du/dx, du/dy, dv/dx, dv/dy."""
     ux, uy, vx, vy = parts
     fields = np.empty((5, parts.shape[1]), np.float32)
     np.add(ux, vy, out=fields[0])
@@ -135,7 +138,7 @@ def _fields(parts: Array, measure: str) -> Array:
 
 
 def _deviations(spread: Array) -> tuple[Array, Array]:
-    """Return standard deviations (P,) of divergence and curl from covariances (P, 4, 4) of gradients."""
+    """Return the standard deviations (P,) of divergence and of curl from covariances (P, 4, 4) of gradients."""
     return (
         _root(spread[:, 0, 0] + spread[:, 0, 3] + spread[:, 3, 0] + spread[:, 3, 3]),
         _root(spread[:, 2, 2] - spread[:, 2, 1] - spread[:, 1, 2] + spread[:, 1, 1]),
@@ -143,7 +146,10 @@ def _deviations(spread: Array) -> tuple[Array, Array]:
 
 
 def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
-    """Return first-order standard deviations (P, 5) of the fields of gradients (4, P), as `ops.field_std`."""
+    """Return the standard deviations (P, 5) of divergence, curl and strain, propagated to first order.
+
+    Gradients are (4, P); the results are those of `ops.field_std`.
+    """
     ux, uy, vx, vy = parts
     direct = 0 if measure == "infinitesimal" else 1
     mixed = 1 if measure == "green_lagrange" else 0
@@ -159,6 +165,6 @@ def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
 
 
 def _root(variance: Array) -> Array:
-    """Return the square root; a variance below zero by rounding counts as zero."""
+    """Return standard deviations from variances; a variance below zero by rounding counts as zero."""
     result: Array = np.sqrt(np.maximum(variance, 0))
     return result

@@ -1,4 +1,4 @@
-"""Arrays of several recordings stacked to one: recordings with fewer points are padded with NaN, integers with 0."""
+"""Stacking of arrays of several recordings; recordings with fewer points are padded with NaN, or 0 for integers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fingerflow.engines.engine import Array
 
 
 def filled(array: Array, points: int, axis: int = 0) -> Array:
-    """Return an array padded to `points` entries along an axis: NaN in floating point, else 0."""
+    """Return an array padded to `points` entries along an axis, with NaN for floating point, else 0."""
     missing = points - array.shape[axis]
     if not missing:
         return array
@@ -22,11 +22,11 @@ def filled(array: Array, points: int, axis: int = 0) -> Array:
 
 
 def stacked(arrays: Sequence[Array]) -> Array:
-    """Return arrays (N, ...) of B recordings as one array (B, N, ...), padded to the largest N."""
+    """Stack one array (N, ...) of each of B recordings to (B, N, ...), padded to the largest N."""
     most = max(map(len, arrays))
     return np.stack([filled(one, most) for one in arrays])
 
 
 def parts(counts: Iterable[int]) -> list[slice]:
-    """Return the slice of each part in the concatenation of parts with so many elements."""
+    """Return the slice of each part in a concatenation; `counts` are the lengths of the parts."""
     return [slice(*ends) for ends in pairwise(accumulate(counts, initial=0))]

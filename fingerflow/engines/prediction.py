@@ -1,4 +1,4 @@
-"""Prediction of points from frame to frame within one engine call, by the rule of `tracker.point_prediction`."""
+"""Prediction of point positions from frame to frame within one engine call, as in `tracker.point_prediction`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, Track
 
 
 class Course(NamedTuple):
-    """Position (N, 2) px and speed (N, 2) px a frame of points after a frame; whether (N,) they were found in it."""
+    """Motion of N points after a frame: positions (N, 2) px, speeds (N, 2) px a frame, and which (N,) were found."""
 
     place: Array
     speed: Array
@@ -19,16 +19,16 @@ class Course(NamedTuple):
 
     @classmethod
     def begin(cls, place: Array, speed: Array) -> Course:
-        """Return the state before the first frame."""
+        """Return the motion before the first frame: the given positions and speeds, all points found."""
         return cls(place, speed, np.ones(len(place), bool))
 
     def expect(self) -> Array:
-        """Return the predicted positions (N, 2) px in the next frame."""
+        """Return the positions (N, 2) px predicted for the next frame."""
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Return the state after the next frame, in which the points `found` (1, N) were found.
+        """Update the predicted motion of the points by their positions `found` (1, N) in the next frame.
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

@@ -1,4 +1,4 @@
-"""Execution providers of ONNX Runtime on this computer: built-in ones and those of plugin packages."""
+"""Execution providers of ONNX Runtime on this computer: built-in providers and those of plugin packages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REMOTE = "AzureExecutionProvider"  # computes nothing here
 
 
 def installed_providers() -> dict[str, str]:
-    """Return full names of the execution providers by short name ("CUDAExecutionProvider" by "cuda").
+    """Return the execution providers of this computer: full names by short name ("CUDAExecutionProvider" by "cuda").
 
     They are in the order in which to try them: built-in ones as ONNX Runtime orders them, plugin packages, the CPU.
     """
@@ -35,7 +35,7 @@ def installed_providers() -> dict[str, str]:
 
 
 def provider_named(name: str) -> str:
-    """Return the full name of an installed provider.
+    """Return the full name of an installed execution provider from its short name.
 
     Raises:
         FingerflowError: it is not installed.
@@ -47,14 +47,14 @@ def provider_named(name: str) -> str:
 
 
 def plugin_devices(full: str) -> list[Any]:
-    """Return the devices of a provider from a plugin package; an empty list for a built-in provider."""
+    """Return the devices of an execution provider from a plugin package; an empty list for a built-in provider."""
     if full in ort.get_available_providers():
         return []
     return [device for device in ort.get_ep_devices() if device.ep_name == full]
 
 
 def _register_plugins() -> None:
-    """Register the provider of each installed plugin package with ONNX Runtime, once."""
+    """Register the execution provider of each installed plugin package with ONNX Runtime, once."""
     for module in pkgutil.iter_modules():
         if module.name.startswith(_PLUGINS) and module.name not in _registered:
             _registered.add(module.name)

@@ -1,4 +1,4 @@
-"""Sessions of ONNX Runtime for the graphs of a deployment bundle, opened with an execution provider."""
+"""ONNX Runtime sessions of the graphs of a deployment bundle, opened with one execution provider."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _NUMPY = {
 
 
 class Input(NamedTuple):
-    """Shape and dtype of an input; a free batch axis counts as 1."""
+    """Shape and dtype of an input of a graph; a free batch axis counts as 1."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
 
 
 class GraphSession:
-    """Graph of a bundle, which may be called from several threads at once: each call has its own tensors.
+    """Graph of a bundle, ready to run; several threads may call it at once, as each call has its own tensors.
 
     Attributes:
         inputs: by name.
@@ -50,7 +50,10 @@ class GraphSession:
         self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Return the outputs by name, float64 as float32, for arrays or values of `kept`."""
+        """Run the graph on inputs by name and return its outputs by name, float64 as float32.
+
+        An input is an array or a value that `kept` returned.
+        """
         feed = {name: self._array(name, given[name]) for name in self.inputs}
         try:
             results = self._session.run(self._names, feed)  # plain arrays: wrapping takes longer than a small graph
@@ -61,11 +64,11 @@ class GraphSession:
         return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
     def kept(self, name: str, array: Array) -> Any:
-        """Return an input for many calls, in the memory of the provider."""
+        """Place an input in the memory of the provider and return it as a value for many calls."""
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
     def _array(self, name: str, array: Any) -> Any:
-        """Return an array as contiguous array of the dtype of the input; a value of `kept` is returned unchanged."""
+        """Return an input as a contiguous array of the graph's dtype; a value that `kept` returned stays unchanged."""
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]
@@ -75,7 +78,7 @@ class GraphSession:
 
 
 class Sessions:
-    """Graphs of a bundle, opened with one execution provider.
+    """Sessions of all graphs of a bundle, opened with one execution provider.
 
     Args:
         files: paths of the graphs, by name.

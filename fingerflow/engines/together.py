@@ -1,4 +1,4 @@
-"""Batched engine calls of several recordings.
+"""Batching of engine calls of several recordings.
 
 Each recording is a generator. It computes as if it were alone: where it needs an engine call that others may share, it
 yields a `Call` and continues with the result. When all recordings wait for a call, calls of the same kind are joined to
@@ -24,7 +24,7 @@ _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "thres
 
 
 class Call(NamedTuple):
-    """Method of an engine, one of `_ORDER`, and its positional arguments."""
+    """Engine call that may be batched: a method, one of `_ORDER`, and its positional arguments."""
 
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -36,19 +36,19 @@ Steps = Generator[Call, Any, T]
 
 @runtime_checkable
 class Joining(Protocol):
-    """Interface of an engine that computes a method for several recordings in one call."""
+    """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return a key that is equal for engines whose calls can be joined."""
+        """Return a key for comparing engines: engines with equal keys can compute their calls in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Return the results of a method for the arguments of several recordings."""
+        """Compute one method for several recordings in a batch; `many` holds the arguments of each recording."""
         ...
 
 
 def run_alone(steps: Steps[T]) -> T:
-    """Run one recording, making each of its calls by itself, and return its result."""
+    """Run one recording without batching: make each of its engine calls by itself. Return its result."""
     try:
         call = next(steps)
         while True:
@@ -69,7 +69,7 @@ def run_alone(steps: Steps[T]) -> T:
 
 
 def run_together(many: Sequence[Steps[T]]) -> list[T]:
-    """Run recordings in lock-step with joined calls, and return their results.
+    """Run recordings in lock-step, with batched engine calls, and return their results.
 
     An `Exception` in one recording does not stop the others: when all have ended, that of the first recording is
     raised. Anything else, such as Ctrl-C, ends all of them at once.
@@ -103,7 +103,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Remove and return, by recording, the waiting calls of the kind that is first in `_ORDER`."""
+    """Remove and return, by recording, the waiting calls to be batched next: those of the kind first in `_ORDER`."""
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place
@@ -114,13 +114,13 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 
 
 def _kind(call: Call) -> object:
-    """Return a key that is equal for calls that are joined."""
+    """Return a key for comparing calls: calls with equal keys are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
 
 
 def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Yield recording, result and error of each call; the calls are joined if the engine supports it."""
+    """Yield recording, result and error of each call in a group; one batch computes them if the engine supports it."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
     if len(group) > 1 and isinstance(engine, Joining):

@@ -1,4 +1,4 @@
-"""Engine that runs the modules of `graphs` with torch: on any device, also without compiled kernels."""
+"""Engine that runs the modules of `graphs` with torch, on any device, also without compiled kernels."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
 
 @dataclass
 class _TorchTemplates:
-    """Templates of N points as `ops.Templates` (1, N, ...)."""
+    """Templates of N points, stored as `ops.Templates` (1, N, ...)."""
 
     templates: Templates
 
@@ -54,7 +54,7 @@ class _TorchTemplates:
 
 
 class TorchEngine:
-    """Engine that computes with torch on a device (`engine.Engine`).
+    """Engine that computes with torch on a device; it implements `engine.Engine`.
 
     Args:
         settings: of the engine.
@@ -192,16 +192,16 @@ class TorchEngine:
         return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
     def kind(self) -> object:
-        """Return a key that is equal for engines whose calls can be joined (`together.Joining`).
+        """Return a key for comparing engines: engines with equal keys can compute their calls in one batch.
 
-        With compiled kernels no calls are joined: it would not be faster, and results of a recording stay independent
-        of the others.
+        See `together.Joining`. With compiled kernels no calls are joined: it would not be faster, and results of a
+        recording stay independent of the others.
         """
         compiled = self._device.type == "cpu" and kernels.serve()
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Return the results of a method for the arguments of several recordings, in one call per size of images."""
+        """Compute one method for several recordings, in one batch per image size and dtype."""
         alike: dict[Any, list[int]] = {}
         for place, one in enumerate(many):
             alike.setdefault(tuple(map(_size, one)), []).append(place)
@@ -221,7 +221,10 @@ class TorchEngine:
         return [found[frames] for frames in parts(len(images) for images, _ in many)]
 
     def _lit(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the frames of all recordings with light and black of each; those of a single one stay (1, ...)."""
+        """Concatenate the frames of several recordings, with the light and black level of each frame.
+
+        Light and black of a single recording stay (1, ...).
+        """
         if len(many) == 1:
             images, light = many[0]
             return images, light.light, light.black
@@ -268,7 +271,7 @@ class TorchEngine:
         return results
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
-        """Return the templates of B recordings, or some rows of them, as templates of B x N points."""
+        """Stack the templates of B recordings, all or those with indices `rows`, to templates of B x N points."""
         every = [
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
             for one, some in zip(held, rows, strict=True)
@@ -323,7 +326,10 @@ class TorchEngine:
         ]
 
     def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Return the recording of each frame, None for a single recording, and the points found in all frames."""
+        """Concatenate points found in the frames of several recordings; return each frame's recording and the points.
+
+        The first result is None for a single recording.
+        """
         if len(founds) == 1:
             return None, founds[0]
         most = max(one.status.shape[1] for one in founds)
@@ -333,7 +339,7 @@ class TorchEngine:
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
     def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Return the values (N, ...) of recordings for each frame; (1, N, ...) for a single recording."""
+        """Repeat the values (N, ...) of each recording for each of its frames; (1, N, ...) for a single recording."""
         given = self._tensor(stacked(values))
         return given if own is None else given[own]
 
@@ -348,7 +354,7 @@ class TorchEngine:
 
 
 def images_on(device: torch.device, frames: Array) -> Tensor:
-    """Return frames (K, H, W) as a tensor (K, 1, H, W) on a device.
+    """Convert frames (K, H, W) to a tensor (K, 1, H, W) on a device.
 
     It must not be written to: on the CPU it shares memory with the frames unless these are converted. uint16 becomes
     int32, with which torch can compute, and float64 becomes float32.
@@ -363,7 +369,7 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
 
 
 class _Lent:
-    """Array interface that declares read-only memory, as of a memory map, writable.
+    """Array interface that declares read-only memory, such as a memory map, as writable.
 
     Torch warns of read-only arrays, and engines only read.
     """
@@ -375,12 +381,12 @@ class _Lent:
 
 
 def _in_a_row(images: Sequence[Tensor]) -> Tensor:
-    """Return the frames of several recordings, concatenated."""
+    """Concatenate the frames of several recordings."""
     return images[0] if len(images) == 1 else torch.cat(list(images))
 
 
 def _size(argument: Any) -> object:
-    """Return a key that is equal for arguments of recordings that can be joined."""
+    """Return a key for comparing arguments of two recordings: calls whose arguments have equal keys can be batched."""
     if isinstance(argument, Tensor):
         return argument.dtype, argument.shape[1:]
     if isinstance(argument, arrays.GlassLight):

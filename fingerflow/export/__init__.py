@@ -1,4 +1,4 @@
-"""Export of recipes to bundles: graphs as ONNX files, verified against torch, with the player that runs them."""
+"""Export of recipes to deployment bundles: graphs as ONNX files, verified against torch, and the player."""
 
 from fingerflow.export.graph_verification import Difference, as_text, verify
 from fingerflow.export.write_bundle import export_bundle

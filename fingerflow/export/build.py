@@ -1,4 +1,4 @@
-"""Graphs of a recipe: modules, with name, type and unit of all inputs and outputs."""
+"""Graphs of a recipe: torch modules, with the names and units of all inputs and outputs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -70,21 +70,21 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Graph:
-    """Module that takes tensors by position and returns a tuple of tensors, and the names of both."""
+    """Module that takes tensors by position and returns a tuple of tensors, with names for its inputs and outputs."""
 
     module: nn.Module
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
     def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the outputs by name for inputs by name, computed by the portable form of every op."""
+        """Run the graph in torch by the portable form of every op: return its outputs by name for inputs by name."""
         with torch.inference_mode(), Portable():
             results = self.module(*(known[name] for name in self.inputs))
         return dict(zip(self.outputs, results, strict=True))
 
 
 class _Call(nn.Module):
-    """Module that calls a function or module with any number of tensors by position."""
+    """Module that wraps a function or module, and takes any number of tensors by position."""
 
     def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class _Call(nn.Module):
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """Return all graphs of a recipe, also those that it does not export, in a valid order of execution.
+    """Build all graphs of a recipe in a valid order of execution, also those that it does not export.
 
     Args:
         precision: replaces the recipe's.
@@ -119,7 +119,7 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 
 
 def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the graphs of the contact view."""
+    """Return the descriptions of the graphs of the contact view: callable, inputs, outputs."""
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -136,7 +136,7 @@ def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the graphs of points in the topography view."""
+    """Return the descriptions of the graphs of points in the topography view: callable, inputs, outputs."""
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -205,7 +205,7 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_fields(recipe: Recipe) -> _Described:
-    """Return the graphs of displacements on the glass."""
+    """Return the descriptions of the graphs of fields, from displacements on the glass: callable, inputs, outputs."""
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -226,5 +226,5 @@ def _of_fields(recipe: Recipe) -> _Described:
 
 
 def _all_of(templates: Templates) -> tuple[Tensor, ...]:
-    """Return all tensors of templates; the portable form, which is exported, has five."""
+    """Return the tensors of templates as a tuple."""
     return tuple(one for one in templates if one is not None)

@@ -1,4 +1,4 @@
-"""Call of a graph as flat tensors: their names, the axes along which points lie, and the other arguments."""
+"""Arguments of a graph call as a flat list: tensors with their names and axes of points, and other arguments."""
 
 import inspect
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ Axis = int | None
 
 
 class GraphCall(NamedTuple):
-    """Arguments of a method of a module as flat leaves.
+    """Arguments of a call of a module's method, flattened to leaves: tensors and settings.
 
     Attributes:
         names: of the leaves, such as "['templates'].start".
@@ -28,7 +28,7 @@ class GraphCall(NamedTuple):
 
     @classmethod
     def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "GraphCall":
-        """Return the call of a method with these arguments and the defaults of the others."""
+        """Flatten the arguments of a method call, with defaults for those not given."""
         bound = inspect.signature(getattr(module, method)).bind(*arguments, **named)
         bound.apply_defaults()
         parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
@@ -42,27 +42,30 @@ class GraphCall(NamedTuple):
 
     @property
     def tensors(self) -> list[Tensor]:
-        """Return the leaves that are tensors, in order."""
+        """Return those arguments that are tensors, in order."""
         return [value for value in self.values if isinstance(value, Tensor)]
 
     @property
     def settings(self) -> list[Any]:
-        """Return the leaves with None in place of tensors."""
+        """Return all arguments in order, with None in place of tensors."""
         return [None if isinstance(value, Tensor) else value for value in self.values]
 
     @property
     def tensor_axes(self) -> list[Axis]:
-        """Return for each tensor the axis along which points lie, else None."""
+        """Return, for each tensor argument, the axis along which points lie; None if there is none."""
         return [axis for axis, value in zip(self.axes, self.values, strict=True) if isinstance(value, Tensor)]
 
     @property
     def points(self) -> int:
-        """Return the number of points; 0 if no tensor has an axis of points."""
+        """Return the number of points in the tensor arguments; 0 if no tensor has an axis of points."""
         found = (one.shape[axis] for one, axis in zip(self.tensors, self.tensor_axes, strict=True) if axis is not None)
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for one recording: its row of each tensor of the batch; tensors (1, ...) are for all."""
+        """Return the call for one recording of a batch: with its row of each batched tensor.
+
+        Tensors (1, ...) serve all recordings.
+        """
         return self._replace(
             values=[
                 value[place : place + 1] if isinstance(value, Tensor) and len(value) == batch else value
@@ -71,7 +74,7 @@ class GraphCall(NamedTuple):
         )
 
     def with_tensors(self, tensors: Sequence[Tensor]) -> dict[str, Any]:
-        """Return the arguments by name, with its tensors replaced by others in the same order."""
+        """Return the arguments by name, with the tensors replaced by others in the same order."""
         others = iter(tensors)
         values = [next(others) if isinstance(value, Tensor) else value for value in self.values]
         arguments: dict[str, Any] = tree.tree_unflatten(values, self.structure)
@@ -79,7 +82,7 @@ class GraphCall(NamedTuple):
 
 
 def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
-    """Return tensors padded to `room` points along their axes of points, with NaN, or 0 for integers."""
+    """Pad tensors along their axes of points to `room` points, with NaN, or 0 for integers."""
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):
         if axis is None or tensor.shape[axis] == room:
@@ -93,7 +96,10 @@ def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> lis
 
 
 def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
-    """Return the axes along which two tensors differ in length: those of points, if the numbers of points differ."""
+    """Return the axes along which two tensors differ in length.
+
+    These are the axes of points if the numbers of points differ.
+    """
     return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 

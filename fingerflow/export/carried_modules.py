@@ -36,10 +36,10 @@ log = logging.getLogger("fingerflow.export")
 
 
 def carry_modules(bundle: Path) -> None:
-    """Copy what the player needs into the folder `fingerflow` of a bundle: modules, live page, compiled library.
+    """Copy into a bundle what the player needs: modules, live page and compiled library.
 
-    A library that was not built is left out with a warning in the log. In the bundle its file name has no Python
-    version, because it does not call Python.
+    The folder is `fingerflow` in the bundle. A library that was not built is left out with a warning in the log. In the
+    bundle its file name has no Python version, because it does not call Python.
     """
     home = bundle / PACKAGE.name
     for file in (*carried().values(), *(file for pattern in _DATA for file in PACKAGE.glob(pattern))):
@@ -54,7 +54,7 @@ def carry_modules(bundle: Path) -> None:
 
 
 def carried() -> dict[str, Path]:
-    """Return the files of the modules that a bundle carries, by name."""
+    """Return the source files of the modules that a bundle contains, by module name."""
     files = {}
     for file in sorted(PACKAGE.rglob("*.py")):
         name = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")

@@ -1,4 +1,4 @@
-"""Expected results of the built-in frame that a bundle states, computed by torch in float64."""
+"""Expected results of the built-in test frame, which a bundle contains; torch computes them in float64."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ _DIGITS = 6
 
 
 def expected_numbers(recipe: Recipe) -> dict[str, Any]:
-    """Return the reference of `engines.check.check_engine`: sizes and results of the built-in frame."""
+    """Compute the expected results of the built-in frame, with its sizes, for `engines.check.check_engine`."""
     views, own = recipe.views, recipe.tracking
     size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
     frame = built_in(**size, window_px=own.window_px)
@@ -62,7 +62,7 @@ def _picture(view: np.ndarray[Any, Any]) -> Tensor:
 
 
 def rounded(values: np.ndarray[Any, Any]) -> Any:
-    """Return values as nested lists, with None for NaN, which JSON cannot represent."""
+    """Convert an array to nested lists of rounded numbers, with None for NaN, which JSON cannot represent."""
     if values.ndim:
         return [rounded(one) for one in values]
     return round(float(values), _DIGITS) if np.isfinite(values) else None

@@ -16,11 +16,11 @@ from fingerflow.kernels.tracking_limits import Number
 
 
 class Difference(NamedTuple):
-    """Largest difference of an output of a graph from torch over all cases; NaN in both is no difference.
+    """Largest difference between ONNX Runtime and torch in one output of a graph, over all test cases.
 
-    `to_torch` and `to_float64` are in px or rad if that is the unit, else relative to the largest value, or to 1 if
-    that is larger. `flips` counts values that are NaN in only one of ONNX Runtime and torch. `share` is the share of
-    such values, or of differing integers, relative to float64.
+    A value that is NaN in both is no difference. `to_torch` and `to_float64` are in px or rad if that is the unit, else
+    relative to the largest value, or to 1 if that is larger. `flips` counts values that are NaN in only one of ONNX
+    Runtime and torch. `share` is the share of such values, or of differing integers, relative to float64.
     """
 
     graph: str
@@ -51,7 +51,9 @@ _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that r
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
-    """Compare the graphs in a folder with torch, with one and with two recordings if the batch is dynamic.
+    """Verify the exported graphs in a folder: compare ONNX Runtime with torch on all test cases.
+
+    Cases have the batch size of the recipe; a dynamic batch is verified with one recording and with two.
 
     Returns:
         The largest differences, one row an output.
@@ -93,7 +95,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
 
 
 def as_text(rows: list[Difference]) -> str:
-    """Return a table of the largest differences."""
+    """Return the largest differences as a text table."""
     head = f"{'graph':<16}{'output':<20}{'unit':<9}{'to torch':>11}{'to float64':>12}{'NaN flips':>11}{'int share':>11}"
     lines = [
         f"{row.graph:<16}{row.output:<20}{row.unit[:8]:<9}{row.to_torch:>11.2g}{row.to_float64:>12.2g}{row.flips:>11}"
@@ -132,7 +134,7 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
 
 
 def _absent(expected: NDArray[Any], found: NDArray[Any]) -> float:
-    """Return the share of the expected points (B, N, 2) that were not found, less the tolerated 1 %."""
+    """Return the share of the expected corners (B, N, 2) that were not found, minus the tolerated 1 %."""
     known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
     absent = len(known[0] - known[1]) / max(1, len(known[0]))
     return max(0.0, absent - _MOST_FLIPS)

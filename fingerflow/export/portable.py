@@ -1,4 +1,4 @@
-"""Selection of the portable implementation of every op, which is the one that is exported."""
+"""Selection of the portable implementation of every op, the one that is exported."""
 
 from typing import Any
 
@@ -6,7 +6,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Portable(TorchDispatchMode):
-    """Dispatch mode under which ops use their portable form, as under every such mode; it changes nothing else."""
+    """Torch dispatch mode within which ops use their portable form; it changes nothing else.
+
+    Ops do so under any dispatch mode.
+    """
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""Recipe of a deployment: the settings of its graphs, in a validated TOML file."""
+"""Recipe of a deployment bundle: the settings of its graphs, in a validated TOML file."""
 
 import tomllib
 from pathlib import Path
@@ -23,13 +23,16 @@ Odd = Annotated[int, AfterValidator(_odd)]
 
 
 class _Table(BaseModel):
-    """Values are not converted: "700" and true are no numbers, 0.5 is no integer; an integer is a number."""
+    """Table of a recipe, with strict types: "700" and true are no numbers, 0.5 is no integer; integers are numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class ViewRecipe(_Table):
-    """Settings [views]: size of both views in px, bits of a pixel (uint8 for 8, else uint16), batch size."""
+    """Settings [views] of a recipe: size of both views in px, bits of a pixel, and batch size.
+
+    Pixels are uint8 for 8 bits, else uint16.
+    """
 
     height: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
     width: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
@@ -38,7 +41,7 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """Settings [contact] as in a scene, and which outputs `ContactGraph` leaves out."""
+    """Settings [contact] of a recipe, as in a scene, and whether the contact mask is an output."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
     gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8
@@ -48,7 +51,7 @@ class ContactRecipe(_Table):
 
 
 class TrackingRecipe(_Table):
-    """Settings [tracking] as in a scene."""
+    """Settings [tracking] of a recipe, as in a scene."""
 
     points: Annotated[int, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
@@ -59,20 +62,20 @@ class TrackingRecipe(_Table):
 
 
 class FieldsRecipe(_Table):
-    """Settings [fields] as in a scene."""
+    """Settings [fields] of a recipe, as in a scene."""
 
     gauge_length_mm: Annotated[float, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):
-    """Settings [export]: the graphs to export, and the precision of all operations but the median."""
+    """Settings [export] of a recipe: the graphs to export, and the precision of all operations but the median."""
 
     graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # TOML has lists only
     precision: Literal["float32", "float64"] = "float32"
 
 
 class Recipe(_Table):
-    """Content of a recipe file."""
+    """Complete content of a recipe file."""
 
     views: ViewRecipe
     contact: ContactRecipe = ContactRecipe()
@@ -91,7 +94,7 @@ class Recipe(_Table):
 
 
 def load_recipe(path: Path) -> Recipe:
-    """Return the recipe of a file.
+    """Read and validate a recipe file.
 
     Raises:
         FingerflowError: the file cannot be read, is not valid TOML, or has an unknown key or a value out of range; with

@@ -1,4 +1,4 @@
-"""Execution of graph modules by ONNX Runtime behind the same interface as the modules."""
+"""Execution of torch modules by ONNX Runtime, behind the interface of the modules."""
 
 import functools
 import hashlib
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class OnnxRuntime:
-    """Factory of proxies of modules, whose forward and other methods ONNX Runtime executes on the CPU.
+    """Factory of module proxies, whose methods are executed by ONNX Runtime on the CPU.
 
     A method is exported when it is first called with tensors of new shapes. Batches are processed one recording at a
     time. Graphs are cached in a folder by settings, shapes and source code. The number of points does not need a new
@@ -55,11 +55,11 @@ class OnnxRuntime:
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
-        """Return the proxy of a module."""
+        """Return a proxy of a torch module that executes its methods in ONNX Runtime."""
         return cast(M, _Executed(module, self))
 
     def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
-        """Return an open session of a method for tensors of these shapes; export it first if it is not cached."""
+        """Open a session for a method and tensors of these shapes; export the graph first if it is not cached."""
         import onnxruntime
 
         file = self.folder / f"{self._name(leaves, tensors, inputs)}.onnx"
@@ -89,7 +89,10 @@ class OnnxRuntime:
         return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
-        """Return the cache key of a graph: method, settings, shapes, other arguments, torch version and source hash."""
+        """Return the cache key of a graph.
+
+        It depends on method, settings, shapes, other arguments, torch version and source hash.
+        """
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
         facts = [
             _code(),
@@ -104,7 +107,7 @@ class OnnxRuntime:
 
 
 class _Executed:
-    """Proxy of a module: its attributes, and its methods executed by ONNX Runtime."""
+    """Proxy of a module: has its attributes, and executes its methods by ONNX Runtime."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
         self._module, self._runtime = module, runtime
@@ -165,12 +168,12 @@ class _Executed:
 
 
 def _room(points: int) -> int:
-    """Return the number of points for which the graph of a call with `points` points is exported; 0 without points."""
+    """Return the number of points to which the arguments of a call with `points` points are padded; 0 for none."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
 class _Leaves(nn.Module):
-    """Module that wraps a method: it takes the tensors of the arguments by position and returns those of the result."""
+    """Module that wraps a method for export: tensors of the arguments in, tensors of the result out, by position."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
@@ -178,7 +181,7 @@ class _Leaves(nn.Module):
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
 
     def result(self, *tensors: Tensor) -> Any:
-        """Return the result of the method in its own structure."""
+        """Call the method and return its result in its own structure."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
@@ -188,7 +191,7 @@ class _Leaves(nn.Module):
 
 
 def _own_folder() -> Path:
-    """Return the user's folder among the temporary files, or a new one if the folder belongs to another user."""
+    """Return the user's cache folder among the temporary files; a new one if it belongs to another user."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -197,7 +200,7 @@ def _own_folder() -> Path:
 
 @functools.cache
 def _code() -> str:
-    """Return a hash of the source code of which graphs are made."""
+    """Return a hash of the source code from which graphs are made."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
     for file in sorted(file for room in _SOURCES for file in (package / room).rglob("*.py")):

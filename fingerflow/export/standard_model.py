@@ -20,7 +20,9 @@ _CONTROL_FLOW = {"Loop", "If", "Scan"}
 def standard_model(
     module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], shapes: Any = None
 ) -> Any:
-    """Return the `onnx.ModelProto` of a module that takes tensors by position and returns a tuple of tensors.
+    """Convert a module to an `onnx.ModelProto` of standard operators.
+
+    The module takes tensors by position and returns a tuple of tensors.
 
     Args:
         module: without data-dependent branches.
@@ -70,7 +72,7 @@ def standard_model(
 
 
 def _take_by_short_numbers(graph: Any) -> None:
-    """Let Gather nodes take int32 indices directly, without the cast to int64 that the exporter puts before them."""
+    """Let Gather nodes of an ONNX graph take int32 indices, without the cast to int64 that the exporter adds."""
     import onnx
 
     kinds = {value.name: value.type.tensor_type.elem_type for value in graph.value_info}
@@ -89,7 +91,7 @@ def _take_by_short_numbers(graph: Any) -> None:
 
 
 def need_packages() -> None:
-    """Raise FingerflowError if a package that exports or runs graphs is not installed."""
+    """Raise FingerflowError if a package that exporting or running graphs needs is not installed."""
     missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise FingerflowError(
@@ -99,7 +101,7 @@ def need_packages() -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the exporter's warnings about features that are not used, and its log."""
+    """Suppress the log of torch's ONNX exporter, and its warnings about features that are not used."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""Export of a recipe's graphs as ONNX files into a folder that a lab PC runs without torch.
+"""Export of a recipe to a deployment bundle: a folder of ONNX files that a lab PC runs without torch.
 
 Every graph is verified before the folder is created: ONNX Runtime on the CPU against torch in the recipe's precision
 and in float64, on a press and on hard cases. Only standard operators of opset 18 are used, without control flow.
@@ -30,7 +30,7 @@ _PLAYER_FILES = ("README.md", "requirements.txt")
 
 
 def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Difference]:
-    """Write the bundle of a recipe file.
+    """Export a recipe file to a deployment bundle.
 
     Args:
         path: the recipe.
@@ -69,7 +69,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
 
 
 def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
-    """Export, check and save one graph; return its entry in bundle.json."""
+    """Export one graph to an ONNX file, and check it; return its entry in bundle.json."""
     import onnx
 
     dynamic = recipe.views.batch == "dynamic"
@@ -99,7 +99,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
-    """Write the player, the files for the technician, and bundle.json."""
+    """Write the files of a bundle other than the graphs: player, technician's files and bundle.json."""
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
@@ -118,7 +118,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
 
 
 def scene_for(template: str, height: int, width: int) -> str:
-    """Return the scene template for views of this size; in the template they are 512 x 640 px, next to each other."""
+    """Adapt the scene template to views of this size; in the template they are 512 x 640 px, next to each other."""
     places = {
         "[0, 512]": (0, height),
         "[0, 640]": (0, width),

@@ -12,7 +12,7 @@ from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 
 
 class Contact(NamedTuple):
-    """Contact of B frames.
+    """Contact mask, areas, ellipse and illumination gain of B frames.
 
     Attributes:
         real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
@@ -60,7 +60,10 @@ class ContactGraph(nn.Module):
         self.stride_px = stride_px
 
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
-        """Return the `Contact` of frames (B, 1, H, W); `light`, `black` and `limit` are a `Light` of one view or B."""
+        """Segment frames (B, 1, H, W) into their `Contact`.
+
+        `light`, `black` and `limit` are those of a `Light` of one view or of B views.
+        """
         gain = illumination_gain(frames, light, black, self.gross_radius_px)
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
         mask = real_contact_mask(frames, light, black, share, self.median_px)
@@ -77,7 +80,10 @@ class ContactGraph(nn.Module):
         )
 
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
-        """Return the relative intensity loss (B,) half-way between ridges and valleys; NaN without contact."""
+        """Measure the contact threshold (B,): the relative intensity loss half-way between ridges and valleys.
+
+        It is NaN without contact.
+        """
         gain = illumination_gain(frames, light, black, self.gross_radius_px)
         return contact_threshold(
             frames,

@@ -43,7 +43,7 @@ class DetectGraph(nn.Module):
         self.precision = precision
 
     def forward(self, topography_view: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return corners (B, N, 2) px of a view (B, 1, H, W) inside a bool mask, and their response (B, N).
+        """Detect corners in a view (B, 1, H, W) inside a bool mask: positions (B, N, 2) px and responses (B, N).
 
         Corners are sorted by falling response; entries beyond those found are NaN. N is at most H W.
         """
@@ -88,15 +88,16 @@ class DetectGraph(nn.Module):
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
-    """Return how many pixels of the range [first, last) lie in the edge at the start and at the end of an axis."""
+    """Return how many pixels of [first, last) lie within `edge` px of the start and of the end of an axis."""
     start = min(max(edge - first, 0), last - first)
     return start, min(max(last - (length - edge), 0), last - first - start)
 
 
 def _response(view: Tensor) -> Tensor:
-    """Compute the smaller eigenvalue (B, 1, H, W) of the structure tensor as `ops.tracking.corners.corner_response`.
+    """Compute the corner response (B, 1, H, W), the smaller eigenvalue of the structure tensor.
 
-    It is 0 where the box, or the pixel around it that the gradient needs, reaches beyond the frame.
+    It is defined as in `ops.tracking.corners.corner_response`. It is 0 where the box, or the pixel around it that the
+    gradient needs, reaches beyond the frame.
     """
     smooth_x = (view[..., :-2] + 2 * view[..., 1:-1] + view[..., 2:]) / 4
     smooth_y = (view[..., :-2, :] + 2 * view[..., 1:-1, :] + view[..., 2:, :]) / 4

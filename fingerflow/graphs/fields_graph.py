@@ -21,7 +21,7 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Points that were advected into the contact, of N points in B frames.
+    """Points that were advected into the contact, with gradients since their own entry; N points in B frames.
 
     A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
@@ -32,7 +32,7 @@ class Entered(NamedTuple):
     covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
-        """Compute the fields of the entered points in the form that `area_medians` takes."""
+        """Convert the entered points to the `Apart` of `area_medians`, with fields computed from their gradients."""
         first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
         fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
         std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)
@@ -64,7 +64,7 @@ class Fields(NamedTuple):
 
 
 class FieldsGraph(nn.Module):
-    """Divergence, curl and strain of scattered displacements by local fits over the gauge length.
+    """Divergence, curl and strain of displacements of scattered points, by local fits over the gauge length.
 
     `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
     `ops.fields.area_medians` computes the medians over the contact.
@@ -85,7 +85,9 @@ class FieldsGraph(nn.Module):
         ellipse: GrossEllipse | None = None,
         entered: Entered | None = None,
     ) -> Fields:
-        """Compute the fields from reference positions and displacements in one length unit, NaN where not known.
+        """Compute fields and medians from reference positions and displacements in one length unit.
+
+        Unknown displacements are NaN.
 
         Args:
             reference: (1 or B, N, 2).

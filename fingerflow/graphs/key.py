@@ -1,4 +1,4 @@
-"""Templates of points in a key frame of the topography view."""
+"""Preparation of templates of points in a key frame of the topography view."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ from fingerflow.ops.tracking.templates import Templates, prepare_templates
 
 
 class KeyGraph(nn.Module):
-    """Preparation of the templates of points; settings as in `ops.tracking.templates.prepare_templates`."""
+    """Module that prepares templates of points; settings as in `ops.tracking.templates.prepare_templates`."""
 
     point_axes: ClassVar = {"points": 1, "warp": 1}
 

@@ -9,7 +9,7 @@ from fingerflow.ops.filters.illumination import glass_light
 
 
 class Light(NamedTuple):
-    """Reference light per pixel and contact limit of B views.
+    """Reference light per pixel, black level and contact limit of B views.
 
     Attributes:
         light: (B, 1, H, W) counts due to the lamp; 0 where the glass is not lit, and no contact is detected there.
@@ -23,7 +23,7 @@ class Light(NamedTuple):
 
 
 class LightGraph(nn.Module):
-    """Reference `Light` from empty glass, dark frame and threshold.
+    """Computation of the reference `Light` from the empty glass, a dark frame and the contact threshold.
 
     A pixel is in contact where its count is less than black + limit light.
 
@@ -36,7 +36,7 @@ class LightGraph(nn.Module):
         self.precision = precision
 
     def forward(self, empty: Tensor, dark: Tensor | None, threshold: Tensor) -> Light:
-        """Compute the reference from counts (B, 1, H, W), each one frame or the mean of several.
+        """Compute the reference light from camera counts (B, 1, H, W) of one frame or the mean of several.
 
         `dark` is None or zeros where it is unknown. `threshold` (B,) is a relative intensity loss, NaN while it is
         unknown: then only pixels below `black` are in contact.

@@ -1,4 +1,4 @@
-"""Search for points of a key frame that moved further than registration can follow."""
+"""Exhaustive search for points of a key frame that moved further than registration can follow."""
 
 import torch
 from torch import Tensor, nn
@@ -7,7 +7,7 @@ from fingerflow.ops.tracking.search import search_and_return
 
 
 class SearchGraph(nn.Module):
-    """Exhaustive forward and backward search around predicted positions; settings as in `ops.track_points`."""
+    """Search forward around predicted positions, and backward from the matches; settings as in `ops.track_points`."""
 
     def __init__(self, window: int = 25, radius: int = 8, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
@@ -18,7 +18,9 @@ class SearchGraph(nn.Module):
     def forward(
         self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Search points (B, N, 2) px of the key view around their prediction (B, N, 2) px; views are (B, 1, H, W).
+        """Search for points (B, N, 2) px of the key view around their predicted positions (B, N, 2) px.
+
+        Views are (B, 1, H, W).
 
         Returns:
             Positions (B, N, 2) px, accurate to about a pixel, and (B, N) bool, True where the backward search returns

@@ -1,4 +1,4 @@
-"""Tracking of points of a key frame of the topography view through the following frames."""
+"""Registration of key-frame templates in later frames, outlier detection and deformation correction."""
 
 from typing import ClassVar, NamedTuple
 
@@ -13,7 +13,7 @@ from fingerflow.ops.tracking.templates import Found, Templates, find_templates
 
 
 class Deformed(NamedTuple):
-    """Points corrected for the deformation of their templates.
+    """Tracked points, corrected for the deformation of the skin in their templates.
 
     Attributes:
         found: the points found, with corrected positions and covariances.
@@ -29,8 +29,9 @@ class Deformed(NamedTuple):
 
 
 class DeformationGraph(nn.Module):
-    """Estimation of the skin deformation from the points found, and correction of their positions for it
-    (`ops.tracking.deformation`).
+    """Estimation of the skin deformation from tracked points, and correction of their positions for it.
+
+    The method is that of `ops.tracking.deformation`.
     """
 
     point_axes: ClassVar = {"start": 1, "found": 1, "numbers": 1, "inverse_warp": 1}
@@ -40,15 +41,16 @@ class DeformationGraph(nn.Module):
         self.window = window
 
     def support(self, start: Tensor) -> Support | None:
-        """Return the weights of the local fits for positions (B, N, 2) px in the key frame; None where compiled kernels
-        run, which do not need them.
+        """Return the weights of the local fits between key-frame positions (B, N, 2) px.
+
+        None where compiled kernels run, which do not need them.
         """
         return neighbours_support(start, WARP_GAUGE_PX)
 
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
     ) -> Deformed:
-        """Correct points found in K frames, with positions `start` (1, N, 2) px in the key frame.
+        """Correct points found in K frames for the deformation; `start` (1, N, 2) px are their key-frame positions.
 
         `numbers` (1, N, 32) are the template statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1
         with which the templates were prepared. `support` is computed from `start` where it is None.
@@ -60,21 +62,23 @@ class DeformationGraph(nn.Module):
 
 
 class AgreementGraph(nn.Module):
-    """Outlier detection: points whose displacement disagrees with, or is far less certain than, their neighbours'."""
+    """Outlier detection: points whose displacement deviates from their neighbours', or is far less certain."""
 
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """Return the outliers among points (K, N, 2) of K frames with standard deviations (K, N) of a component.
+        """Return the outliers among points (K, N, 2) of K frames.
 
-        `neighbours` is `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.
+        `position_std` (K, N) is the standard deviation of a component. `neighbours` is
+        `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.
         """
         return find_outliers(neighbours, points - start, position_std)
 
 
 class TrackGraph(nn.Module):
-    """Registration of key-frame templates (subsets) in a frame by one step; settings as in
-    `ops.tracking.templates.find_templates`.
+    """Registration of key-frame templates (subsets) in a frame by one step.
+
+    Settings are those of `ops.tracking.templates.find_templates`.
     """
 
     point_axes: ClassVar = {"templates": 1, "prediction": 1}
@@ -84,5 +88,5 @@ class TrackGraph(nn.Module):
         self.forward_backward_limit = forward_backward_limit
 
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
-        """Register templates of (B, N) points in a view (B, 1, H, W), near their prediction (B, N, 2) px."""
+        """Register the templates of (B, N) points in a view (B, 1, H, W), near predicted positions (B, N, 2) px."""
         return find_templates(templates, view, prediction, rounds=1, forward_backward_limit=self.forward_backward_limit)

@@ -1,4 +1,4 @@
-"""Checks of the arrays of kernels, and their description as arguments."""
+"""Checks of the arrays passed to kernels, and their packing as arguments."""
 
 from fingerflow.kernels.arrays import (
     KINDS,
@@ -16,7 +16,7 @@ FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # of kernels/
 
 
 def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) -> None:
-    """Check frames: raise TypeError for another dtype, ValueError for a shape other than (B, 1, H, W)."""
+    """Raise TypeError if frames have another dtype than `kinds`, ValueError if they are not (B, 1, H, W)."""
     if kind(frames) not in kinds:
         raise TypeError(f"frames are {kind(frames)}: this compiled kernel takes {' or '.join(kinds)}")
     if frames.ndim != 4 or frames.shape[1] != 1:
@@ -24,13 +24,13 @@ def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) ->
 
 
 def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> None:
-    """Check an array: raise ValueError for another dtype or shape."""
+    """Raise ValueError if an array has another dtype or shape than required."""
     if KINDS[array.dtype] != of or array.shape != shape:
         raise ValueError(f"{name} is {kind(array)} {tuple(array.shape)}: {of} {shape} is needed")
 
 
 def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
-    """Check an array and return it contiguous.
+    """Check the dtype and shape of an array, and return it contiguous.
 
     Raises:
         ValueError: wrong dtype or shape.
@@ -40,7 +40,10 @@ def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
 
 
 def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
-    """Check indices (N, ...): raise ValueError unless they lie from 0 to `count` - 1; `of` names what they count."""
+    """Raise ValueError unless all indices (N, ...) lie from 0 to `count` - 1.
+
+    `of` names the indexed things in the message.
+    """
     if values_are_known() and index.shape[0]:
         lowest, highest = range_of(index)
         if not 0 <= lowest <= highest < count:
@@ -50,7 +53,7 @@ def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
 
 
 def described(frames: Array) -> dict[str, Array | int]:
-    """Return the fields of a `fingerflow_frames` of frames (B, 1, H, W) with contiguous rows."""
+    """Return the fields of the C structure `fingerflow_frames` for frames (B, 1, H, W) with contiguous rows."""
     batch, _, height, width = frames.shape
     frame_stride, row_stride = strides_of_rows(frames)
     return {
@@ -65,7 +68,7 @@ def described(frames: Array) -> dict[str, Array | int]:
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Check frames and their light, and return the fields of `fingerflow_lit_frames`, with contiguous rows.
+    """Check frames and their reference light; return the fields of the C structure `fingerflow_lit_frames`.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
@@ -86,7 +89,7 @@ def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
 
 
 def mask_of(frames: Array, mask: Array) -> Array:
-    """Check the mask (B or 1, 1, H, W) bool of frames and return it with contiguous rows."""
+    """Check the mask (B or 1, 1, H, W) bool that belongs to frames, and return it with contiguous rows."""
     check_frames(mask, ("bool",))
     if mask.shape[1:] != frames.shape[1:] or mask.shape[0] not in (1, frames.shape[0]):
         raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
@@ -94,7 +97,7 @@ def mask_of(frames: Array, mask: Array) -> Array:
 
 
 def described_mask(mask: Array | None) -> dict[str, Array | int | None]:
-    """Return the mask, its number of images, and the strides of an image and of a row in pixels."""
+    """Return the kernel arguments of a mask: its data, number of images, and strides of image and row in pixels."""
     names = ("mask", "masks", "mask_stride", "mask_row_stride")
     if mask is None:
         return dict(zip(names, (None, 0, 0, 0), strict=True))

@@ -1,4 +1,4 @@
-"""Kernels of the contact: medians, masks, thresholds, connected components, ellipses."""
+"""Kernels of the contact view: median, contact mask, illumination gain, histogram, Otsu, apparent contact."""
 
 import functools
 
@@ -25,7 +25,7 @@ COUNTED_LEVELS = {"uint8": 1 << 8, "uint16": 1 << 16}
 
 
 def median(frames: Array, size: int) -> Array:
-    """Return the median of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter`.
+    """Compute the median filter of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter`.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape, or a size that is even or outside 3 to 31.
@@ -47,12 +47,12 @@ def median(frames: Array, size: int) -> Array:
 
 @functools.cache
 def table_of(size: int) -> NDArray[np.uint16] | None:
-    """Return the table of the median program of this size; None for 1 and for sizes that are compiled."""
+    """Return the median program for windows of this size as a table; None for sizes that are compiled, and for 1."""
     return None if size == 1 or size in COMPILED_SIZES else np.array(median_table(size), np.uint16)
 
 
 def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, size: int) -> Array:
-    """Return the mask of real contact (B, 1, H, W) bool, as `ops.contact.real_contact_mask`.
+    """Compute the mask of real contact (B, 1, H, W) bool, as `ops.contact.real_contact_mask`.
 
     Frames are of FRAME_KINDS; `light` and `black` (1 or B, 1, H, W) and `limits` (B,) are float32.
 
@@ -68,7 +68,7 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
 
 
 def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
-    """Return the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.illumination_gain`.
+    """Compute the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.illumination_gain`.
 
     Arrays are as for `real_contact_mask`.
 
@@ -83,7 +83,7 @@ def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> A
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Normalise frames by their light, as `ops.filters.illumination` does: quotients float32, and a mask of known ones.
+    """Normalise frames by the empty glass, as `ops.filters.illumination`: return quotients and a mask of known pixels.
 
     Both are (B, 1, H, W). Frames are of FRAME_KINDS, `light` and `black` as for `real_contact_mask`. A pixel is lit if
     its light exceeds `least`, float32, one per image of light.
@@ -98,7 +98,7 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
 
 
 def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
-    """Return the histogram (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
+    """Count the pixels of uint8 or uint16 frames by bin, (B, bins) int64, inside a mask (B or 1, 1, H, W) bool.
 
     `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
 
@@ -128,7 +128,7 @@ def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bin
 
 
 def otsu_threshold(counts: Array, low: float, high: float) -> Array:
-    """Return Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`.
+    """Compute Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins cover `low` to `high`.
 
     Raises:
         ValueError: wrong dtype or shape.
@@ -140,10 +140,10 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
-    """Return the apparent contact of a mask (B, 1, H, W) bool on cells of `side` px, as `ops.contact.apparent_contact`.
+    """Segment the apparent contact of a mask (B, 1, H, W) bool on cells of `side` px.
 
-    The results are float32: the signed density margin (B, 1, h, w), and (B, 7) covered pixels, area, centre, semi axes
-    and angle. `side` is one of CELLS.
+    The method is that of `ops.contact.apparent_contact`. The results are float32: the signed density margin (B, 1, h,
+    w), and (B, 7) covered pixels, area, centre, semi axes and angle. `side` is one of CELLS.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape, or cells that are not among these.

@@ -1,4 +1,4 @@
-"""Kernels of the contact of frames, one call for each task: NumPy arrays in and out."""
+"""Kernels of the whole contact chain, one call for each task, from and to NumPy arrays."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ LARGEST_RADIUS = 255  # px
 
 
 class ContactOfFrames(NamedTuple):
-    """Contact of K frames.
+    """Contact mask, areas, ellipse and illumination gain of K frames.
 
     Attributes:
         real_contact_mask: (K, 1, H, W) bool, the micro-junctions.
@@ -35,7 +35,7 @@ class ContactOfFrames(NamedTuple):
 def contact_of_frames(
     frames: Array, light: Array, black: Array, limits: Array, *, median_px: int, radius: int, cell: int
 ) -> ContactOfFrames:
-    """Return the contact of frames, as `graphs.ContactGraph`.
+    """Compute the contact of frames in one call, as `graphs.ContactGraph`.
 
     The mask contains the pixels below black + limit * gain * light; an unknown gain counts as 1.
 
@@ -86,9 +86,10 @@ def contact_threshold(
     radius: int,
     stride_px: int,
 ) -> Array:
-    """Return the relative intensity loss (K,) float32 half-way between ridges and the skin beside them.
+    """Measure the contact threshold (K,) float32: the intensity loss half-way between ridges and valleys.
 
-    It is computed as by `ops.contact.contact_threshold`, and NaN without contact.
+    The loss is relative to the empty glass. The threshold is computed as by `ops.contact.contact_threshold`, and NaN
+    without contact.
 
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.
@@ -119,7 +120,7 @@ def contact_threshold(
 
 
 def covered(density_margin: Array, points: Array, transform: Array, cell: int) -> Array:
-    """Return whether apparent contacts cover points, (K, N) bool, as `ops.contact.cells.covered`.
+    """Return a mask (K, N) bool of the points that the apparent contact covers, as `ops.contact.cells.covered`.
 
     A point at the border (a margin of 0), to rounding, may be covered here and not there.
 

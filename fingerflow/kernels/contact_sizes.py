@@ -1,4 +1,7 @@
-"""Sizes for the contact from the radius of a pattern: half its ridge distance or a little more. Limits of lit glass."""
+"""Cell and block sizes for the contact, from the radius of a pattern; limits of lit glass.
+
+The radius is half the ridge distance or a little more.
+"""
 
 # The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
 FULL_LIGHT = 0.99
@@ -8,7 +11,7 @@ _LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 
 
 def cell_of(radius: int) -> int:
-    """Return the side (px) of the cells for a pattern of this radius: 4, less for fine patterns."""
+    """Return the side (px) of the cells of the apparent contact for a pattern of this radius: 4, less if it is fine."""
     return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 

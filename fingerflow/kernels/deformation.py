@@ -1,4 +1,4 @@
-"""Kernel that corrects positions for the deformation of the skin."""
+"""Kernel that corrects tracked points for the deformation of the skin."""
 
 from typing import Generic, NamedTuple
 
@@ -10,7 +10,7 @@ from fingerflow.kernels.tracking_limits import NUMBERS
 
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
-    """N points of K frames, corrected for the deformation of the skin; the kernel returns float32.
+    """N points tracked in K frames, corrected for the deformation of the skin; the kernel returns float32.
 
     Attributes:
         points: (K, N, 2) px.
@@ -37,7 +37,7 @@ def correct_points(
     window: int,
     gauge_px: float,
 ) -> CorrectedPoints[Array]:
-    """Correct positions of N points in K frames for the deformation, as `ops.tracking.deformation` does, to rounding.
+    """Correct tracked points of K frames for the deformation of the skin, as `ops.tracking.deformation` up to rounding.
 
     Args:
         start: (N, 2) px in the key frame, float32 as all arrays.

@@ -1,4 +1,4 @@
-"""Limits for points worth tracking (`graphs.detect`)."""
+"""Limits for the detection of corners worth tracking (`graphs.detect`)."""
 
 # px, side of the structure tensor's box. A corner must be local: over a tracking window few distinct ones would remain.
 BOX = 5

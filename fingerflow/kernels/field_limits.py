@@ -1,4 +1,4 @@
-"""Requirements of local fits and of medians over an area on their points, and the names of strain measures."""
+"""Minimum requirements of local fits and of area medians, and the names of the strain measures."""
 
 import functools
 import math
@@ -28,9 +28,9 @@ EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
 
 @functools.cache
 def lattice() -> NDArray[Any]:
-    """Return positions (POSITIONS, 2) float64 spread evenly in the unit disc: a Fibonacci lattice (Vogel 1979).
+    """Return sampling positions (POSITIONS, 2) float64 spread evenly in the unit disc: a Fibonacci lattice.
 
-    Neighbours are close to each other in the list.
+    Source: Vogel 1979. Neighbours are close to each other in the list.
     """
     number = np.arange(POSITIONS) + 0.5
     radius, turn = np.sqrt(number / POSITIONS), number * (math.pi * (3 - 5**0.5))

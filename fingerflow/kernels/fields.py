@@ -1,4 +1,4 @@
-"""Kernels of fields at points: local fits, medians over the contact area, strain of triangles."""
+"""Kernels of fields at tracked points: local fits, medians over the contact area, strain of triangles."""
 
 from collections.abc import Sequence
 from typing import Generic, NamedTuple
@@ -14,7 +14,7 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """Results of local fits, defined as in `ops.fields.local_fit.LocalFit`."""
+    """Results of local plane fits, defined as in `ops.fields.local_fit.LocalFit`."""
 
     value: Array
     gradient: Array
@@ -33,10 +33,10 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Fit planes as `ops.fields.local_fit` does, to rounding, as sums run in another order.
+    """Fit planes to scattered values around queries, as `ops.fields.local_fit` up to rounding.
 
-    `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C * C) share a dtype, float32 or
-    float64. B is that of the results, or 1.
+    Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
+    C) share a dtype, float32 or float64. B is that of the results, or 1.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
@@ -99,7 +99,7 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Return medians of the fields over ellipses, as `ops.fields.area_medians` does to rounding; all float32.
+    """Compute the medians of fields over ellipses, as `ops.fields.area_medians` up to rounding; all float32.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.
@@ -178,7 +178,7 @@ def triangle_strain(
     measure: int,
     stiffness: Sequence[float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain` does to rounding.
+    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain` up to rounding.
 
     The results are strain (B, M, 3), its standard deviation, energy density (B, M), energy (B,) float64, forces
     (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each point adds to the energy.

@@ -1,4 +1,4 @@
-"""Kernels of dense flow, on float32 arrays; each raises ValueError for another dtype or an inconsistent shape."""
+"""Kernels of dense optical flow on float32 arrays; each raises ValueError for another dtype or a wrong shape."""
 
 import itertools
 import math
@@ -29,7 +29,7 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """Fields of the first image that dense flow needs."""
+    """Fields of a first image from which dense flow is computed."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask
@@ -41,7 +41,7 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class Left(NamedTuple, Generic[Array]):
-    """Residual that a flow leaves unexplained, on cells (B, ., h, w)."""
+    """Residual of a flow: means over cells (B, ., h, w) of what displacement and illumination leave unexplained."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -52,7 +52,7 @@ class Left(NamedTuple, Generic[Array]):
 def _computed(
     name: str, given: Mapping[str, tuple[Array, tuple[int, ...]]], made: Mapping[str, tuple[int, ...]], **others: Any
 ) -> list[Array]:
-    """Return the results of a kernel, float32 as its arrays are.
+    """Run a kernel on float32 arrays and return its results, float32 too.
 
     Args:
         name: of the kernel.
@@ -71,7 +71,7 @@ def _computed(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return batch, height and width of images (B, 1, H, W) as arguments; the shapes of an image and of its cells."""
+    """Return batch, height and width of images (B, 1, H, W) as kernel arguments, and shapes of image and cell grid."""
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 
@@ -81,13 +81,16 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return the middle weight with those after it, and the number of the latter."""
+    """Return the kernel arguments of a symmetric window: weights from the middle one on, and how many follow it."""
     half = len(weights) // 2
     return {"weights": np.array(weights[half:], np.float32), "half": half}
 
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
-    """Return the shapes of tensor, right, down, inverse and inside of `count` levels, the finest (height, width)."""
+    """Return the shapes of the five planes of `count` multigrid levels; the finest level is (height, width).
+
+    The planes are tensor, right, down, inverse and inside.
+    """
     levels: list[list[tuple[int, ...]]] = []
     for _ in range(count):
         levels.append([(batch, channels, height + rows, width + columns) for channels, rows, columns in _PLANES])
@@ -96,7 +99,7 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
 
 
 def _levels(addresses: Sequence[int], shapes: list[list[tuple[int, ...]]]) -> NDArray[np.int64]:
-    """Return an array of `fingerflow_flow_level` from the addresses of all planes and the shapes of the levels."""
+    """Return an array of the C structure `fingerflow_flow_level`, from plane addresses and level shapes."""
     planes = np.array(addresses, np.int64).reshape(len(shapes), len(_PLANES))
     return np.hstack((planes, np.array([level[0][2:] for level in shapes], np.int64)))
 
@@ -112,7 +115,7 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Return the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended` to rounding.
+    """Compute the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
@@ -147,7 +150,7 @@ def flow_descend(
 
 
 def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """Compute the levels of `ops.flow.flow_multigrid.pyramid` from the finest one, to rounding, as one array (N,).
+    """Compute the multigrid levels of `ops.flow.flow_multigrid.pyramid` up to rounding, as one flat array (N,).
 
     It holds the inverse of the finest level (B, 3, H, W), then tensor, right, down, inverse and inside of each coarser
     one, concatenated.
@@ -180,7 +183,7 @@ def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: 
 
 
 def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """Return the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exponentials to 2e-7.
+    """Compute the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exponentials to 2e-7.
 
     `tensor` is (B, 3, H, W). `density` of the noise, `alpha`, and `textured`, the eigenvalue above which texture is
     known, are (B,), one for each image.
@@ -203,7 +206,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Return the fields of the first image, as `ops.flow.dense_flow`.
+    """Compute the fields of a first image from which the flow is computed, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """
@@ -237,7 +240,7 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> Left[Array]:
-    """Return the residual of a flow, as `ops.flow.dense_flow`.
+    """Compute the residual of a flow on cells, as `ops.flow.dense_flow`.
 
     `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
     (B, ., h, w) lie on cells.
@@ -268,9 +271,9 @@ def flow_left(
 
 
 def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
-    """Return weighted means (B, C, H, W) along rows and columns of fields, which are 0 beyond the border.
+    """Return weighted means (B, C, H, W) of fields over a window: the weights along rows, then along columns.
 
-    `weights` are an odd number, symmetric about the middle.
+    Fields are 0 beyond the border. `weights` are an odd number, symmetric about the middle.
     """
     batch, channels, height, width = fields.shape
     [integrated] = _computed(
@@ -286,7 +289,7 @@ def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
 
 
 def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
-    """Interpolate a flow on cells (B, ., h, w) to pixels (B, 2, height, width), as `ops.flow.flow_cells.to_pixels`.
+    """Interpolate a flow from cells (B, ., h, w) to pixels (B, 2, height, width), as `ops.flow.flow_cells.to_pixels`.
 
     The results agree to rounding.
     """
@@ -303,7 +306,7 @@ def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
 
 
 def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> tuple[Array, Array, Array]:
-    """Return the results at the pixels `inside` (B, 1, H, W) from those on cells (B, ., h, w).
+    """Interpolate flow, covariance and residual from cells (B, ., h, w) to the pixels `inside` (B, 1, H, W).
 
     On cells are `flow`, `others`, which holds covariance (xx, xy, yy) and residual, and `known`, where they are known.
 

@@ -1,4 +1,4 @@
-"""Library of compiled kernels: whether it can be used, calls of its functions, and their exceptions."""
+"""Loading of the compiled library, calls of its functions, and their exceptions."""
 
 import ctypes
 import functools
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Here(threading.local):
-    """State of this thread."""
+    """State of each thread: whether its kernels only allocate results."""
 
     shapes_only = False
 
@@ -34,13 +34,13 @@ _here = _Here()
 
 
 class Entry:
-    """Callable of a function of interface.h, with arguments by their names there; None stands for a null address.
+    """Callable of a function of the library; arguments have the names of interface.h, None is a null address.
 
     Addresses are given as NumPy arrays or torch tensors, whose memory layout is not checked.
     """
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
-        """Look up `name` in the library."""
+        """Look up the function `name` in the library."""
         self._name, self._names = name, tuple(field.name for field in function.fields)
         self._in_order = operator.itemgetter(*self._names)
         self._addresses = tuple(place for place, field in enumerate(function.fields) if field.code == "P")
@@ -50,7 +50,7 @@ class Entry:
         self._message = library.fingerflow_last_message
 
     def __call__(self, **given: Shaped | float | None) -> None:
-        """Call the function, without the global interpreter lock.
+        """Call the library function, without holding the global interpreter lock.
 
         Raises:
             TypeError: the number of arguments is wrong.
@@ -78,7 +78,7 @@ class Entry:
 
 
 def entry(name: str) -> Entry:
-    """Return the kernel of this name, which has no prefix.
+    """Return the callable of a kernel by its name, without the prefix of the library.
 
     Raises:
         RuntimeError: the compiled kernels cannot be used.
@@ -91,7 +91,7 @@ def entry(name: str) -> Entry:
 
 @contextmanager
 def shapes_only() -> Iterator[None]:
-    """Make the kernels of this thread check arguments and allocate results but compute nothing, for tracing."""
+    """Let the kernels of this thread check arguments and allocate results but compute nothing, for tracing."""
     before, _here.shapes_only = _here.shapes_only, True
     try:
         yield
@@ -100,29 +100,35 @@ def shapes_only() -> Iterator[None]:
 
 
 def values_are_known() -> bool:
-    """Return whether checks may read the values of arrays, which they may not within `shapes_only`."""
+    """Return whether checks may read the values of arrays: not within `shapes_only`."""
     return not _here.shapes_only
 
 
 def limit_instruction_set(most: int) -> int:
-    """Limit the instruction set to 0 baseline, 1 AVX2, 2 AVX-512, or -1 for no limit; return the one taken (tests)."""
+    """Limit the kernels to an instruction set, and return the one used: 0 baseline, 1 AVX2, 2 AVX-512 (for tests).
+
+    -1 removes the limit.
+    """
     taken = np.empty(1, np.int32)
     entry("limit_instruction_set")(most=most, taken=taken)
     return int(taken[0])
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """Make pieces of work fail from now on (tests), with numbers as in kernels/parallel.h; a fault of 0 ends it."""
+    """Make pieces of the kernels' work fail from now on, for tests; a fault of 0 ends this.
+
+    Faults are numbered as in kernels/parallel.h.
+    """
     entry("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
 def is_present() -> bool:
-    """Return whether the library is installed, was built from these sources, and is not turned off."""
+    """Return whether the compiled library is installed, was built from these sources, and is not turned off."""
     return _library() is not None
 
 
 def threads() -> int:
-    """Return the number of threads of the kernels: that of torch if this process has loaded it.
+    """Return the number of threads that kernels use: that of torch if this process has loaded torch.
 
     Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
@@ -131,7 +137,7 @@ def threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Set the number of threads of the kernels, and of torch if this process has loaded it."""
+    """Set the number of threads that kernels use, and that of torch if this process has loaded torch."""
     global _threads
     _threads = count
     if "torch" in sys.modules:
@@ -154,7 +160,7 @@ def _lent_threads() -> int:
 
 
 def _path() -> Path | None:
-    """Return the path of the library beside this folder, preferably that of this version of Python.
+    """Return the path of the compiled library in the package, preferably the one built for this Python version.
 
     The library is no Python module, so one built for another version works as well.
     """

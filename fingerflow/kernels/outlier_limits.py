@@ -1,4 +1,4 @@
-"""Limits for points that are off their neighbours or far more uncertain than they are (`ops.tracking.outliers`)."""
+"""Limits of the outlier detection among tracked points (`ops.tracking.outliers`)."""
 
 NEIGHBOURS = 16  # nearest neighbours with which a point is compared
 LEAST_NEIGHBOURS = 5  # below which a point is not flagged

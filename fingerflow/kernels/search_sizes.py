@@ -1,4 +1,7 @@
-"""Sizes of the exhaustive search (`ops.tracking.search`), which works on images of half resolution."""
+"""Template and search sizes of the exhaustive search, which works on images of half resolution.
+
+The search is `ops.tracking.search`.
+"""
 
 # The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
 # than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them
@@ -8,7 +11,7 @@ SEARCHED = 1.0  # px of the full image, accuracy of a search
 
 
 def sizes_of(window: int, radius: int) -> tuple[int, int]:
-    """Return the odd side of the template and the search radius, both at half resolution.
+    """Return the odd side of the search template and the search radius, in px at half resolution.
 
     `window` is the side of the tracking window and `radius` that of the search in x and y, px at full resolution.
     """

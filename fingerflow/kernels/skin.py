@@ -1,4 +1,4 @@
-"""Kernels of the skin chain of `fingerflow.models`."""
+"""Kernel of the skin chain, the model of a fingertip's skin in `fingerflow.models`."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ def press_skin(
     tolerance: float,
     duration: float,
 ) -> tuple[Array, Array]:
-    """Advance B chains of N elements in time, as `models.skin_implicit.advance` does, to rounding; float64, SI units.
+    """Advance B skin chains of N elements in time, as `models.skin_implicit.advance` up to rounding; float64, SI units.
 
     Inputs are `reference` (B, N, 2), `numbers` (B, 10) in the order of `models.skin_forces.Chain`, `friction` (B, N),
     `load` (B, 2, 2), first and last, and `rest` (B,). The state `place` (B, N, 2), `bone` (B, 2), `rubbed` (B, N) and

@@ -1,4 +1,4 @@
-"""Kernels of tracked points: seeding, search forward and backward, outliers. NumPy arrays in and out.
+"""Kernels of tracked points: seeding, forward and backward search, outliers; from and to NumPy arrays.
 
 Arrays are checked, and copied only if they are not contiguous.
 """
@@ -24,12 +24,14 @@ _ROWS = 32  # points whose distances to all others are in memory at a time
 
 
 class NeighbourLists(NamedTuple):
-    """The k nearest neighbours of N points, nearest first: (k, P) each, P the next multiple of 16 from N on.
+    """The k nearest neighbours of N points, nearest first, as (k, P) arrays.
+
+    P is the smallest multiple of 16 that is not below N.
 
     Attributes:
         number: int32.
         x, y: offset from the point, float32; 0 where the neighbour does not count.
-        within: float32, 1 where it lies within the gauge length and is known, else 0.
+        within: float32, 1 where it is known and lies no farther away than half the gauge length, else 0.
     """
 
     number: Array
@@ -46,7 +48,7 @@ class OutlierFlags(NamedTuple):
 
 
 def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
-    """Return the neighbours of each point, once for all frames of the same points.
+    """Return the nearest neighbours with which each point is compared, once for all frames of the same points.
 
     Args:
         positions: (N, 2) reference positions, float32, NaN where there is none. N is 2 or more.
@@ -80,7 +82,7 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
 
 
 def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std: Array) -> OutlierFlags:
-    """Find points whose displacement or uncertainty stands out among their neighbours, as `ops.find_outliers` does.
+    """Find points whose displacement or uncertainty deviates from their neighbours', as `ops.find_outliers`.
 
     A point at a limit, to the rounding of float32, may have another result than there.
 
@@ -138,7 +140,7 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search for windows around guesses, and backward from there, as `ops.tracking.search.search_and_return` does.
+    """Search for windows around guesses, and backward from the matches, as `ops.tracking.search.search_and_return`.
 
     Args:
         key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.
@@ -199,14 +201,14 @@ def search_and_return(
 
 
 class DetectedPoints(NamedTuple):
-    """Points (n, 2) px and their response (n,), float32, strongest first, padded with NaN."""
+    """Positions (n, 2) px and responses (n,) of detected corners, float32, strongest first, padded with NaN."""
 
     points: Array
     response: Array
 
 
 def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: float, window: int) -> DetectedPoints:
-    """Detect points worth tracking, as `graphs.DetectGraph` does, but for the choice among equal responses.
+    """Detect corners worth tracking, as `graphs.DetectGraph`; equal responses may be chosen otherwise.
 
     Args:
         frame: (1, 1, H, W) of FRAME_KINDS, at least 7 x 7 px.

@@ -1,4 +1,4 @@
-"""Kernels of tracking: preparation and tracking of templates, search for windows, corners, noise."""
+"""Kernels of tracking: templates and their registration, search for windows, corners, spline and noise."""
 
 import math
 from collections.abc import Sequence
@@ -30,10 +30,10 @@ def prepare_templates(
     gain_offset: bool,
     rounding: float,
 ) -> tuple[Array, Array, Array]:
-    """Return start, samples and numbers of templates, as in `ops.tracking.templates.Templates`.
+    """Prepare templates of points: return reference positions, samples and statistics.
 
-    The image is (B, 1, H, W) of FRAME_KINDS, H and W at least 4. `points` (B, N, 2), `inverse_warp` (B, N, 2, 2) and
-    `variance` (B,) are float32.
+    They are defined as in `ops.tracking.templates.Templates`. The image is (B, 1, H, W) of FRAME_KINDS, H and W at
+    least 4. `points` (B, N, 2), `inverse_warp` (B, N, 2, 2) and `variance` (B,) are float32.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
@@ -67,7 +67,7 @@ def prepare_templates(
 
 
 class FollowedPoints(NamedTuple, Generic[Array]):
-    """Points tracked through K frames: (K, B, N, ...) as in `ops.tracking.templates.Found`.
+    """Points tracked through K frames, (K, B, N, ...), with the attributes of `ops.tracking.templates.Found`.
 
     `place` and `speed` (B, N, 2) are those after the last frame.
     """
@@ -92,7 +92,7 @@ def find_templates(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FollowedPoints[Array]:
-    """Track templates (start, samples, numbers) of B x N points through frames.
+    """Track templates (start, samples, numbers) of B x N points through K frames each.
 
     Frames are (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b. The prediction for the first frame is
     `place` + `speed`, both (B, N, 2), px and px a frame. `variance` (K B,) is float32.
@@ -147,7 +147,10 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Points found in pairs of images: (B, N, ...) as in `ops.tracking.templates.Found` and `Templates`."""
+    """Points registered in pairs of images, (B, N, ...): attributes of `ops.tracking.templates.Found`, and `numbers`.
+
+    `numbers` are the template statistics of `Templates`.
+    """
 
     points: Array
     error: Array
@@ -171,7 +174,7 @@ def find_pairs(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FoundPairs[Array]:
-    """Prepare templates of points in `previous` and find them in `current` near `place` (B, N, 2), in one call.
+    """Prepare templates of points in `previous` and register them in `current` near `place` (B, N, 2), in one call.
 
     This is `prepare_templates` and `find_templates` without writing samples to memory. Images are (B, 1, H, W) of one
     of FRAME_KINDS; `variance` (B,) is that of both.
@@ -228,7 +231,9 @@ def _check_window(window: int, frames: Array) -> None:
 
 
 def halve(frames: Array) -> Array:
-    """Return means of 2 x 2 px (B, 1, H // 2, W // 2) float32 of frames of FRAME_KINDS, as `ops.tracking.search`.
+    """Halve the resolution of frames of FRAME_KINDS by means of 2 x 2 px: (B, 1, H // 2, W // 2) float32.
+
+    The results equal those of `ops.filters.halving`.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape, or frames below 3 x 3 px.
@@ -241,9 +246,9 @@ def halve(frames: Array) -> Array:
 
 
 def mean_response(frames: Array) -> Array:
-    """Return the mean absolute response (B,) float64 to the mask of `ops.filters.noise`.
+    """Return the mean absolute response (B,) float64 of frames to the noise mask of `ops.filters.noise`.
 
-    Frames are of FRAME_KINDS, at least 3 x 3 px.
+    The noise estimate is proportional to it. Frames are of FRAME_KINDS, at least 3 x 3 px.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape, or smaller frames.
@@ -255,7 +260,9 @@ def mean_response(frames: Array) -> Array:
 
 
 def spline_coefficients(frames: Array) -> Array:
-    """Return spline coefficients (B, 1, H, W) float32 of frames of FRAME_KINDS, bit for bit as `ops.filters.spline`.
+    """Compute the spline coefficients (B, 1, H, W) float32 of frames, bit for bit as `ops.filters.spline`.
+
+    Frames are of FRAME_KINDS.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape.
@@ -277,7 +284,7 @@ def _kernel_frames(frames: Array) -> Array:
 def search_windows(
     templates: Array, images: Array, image_index: Array, points: Array, guess: Array, size: int, reach: int
 ) -> Array:
-    """Return the positions (P, 2) that `ops.tracking.search` finds in images (B, 1, h, w) of half resolution.
+    """Search for windows in images (B, 1, h, w) of half resolution, as `ops.tracking.search`; return positions (P, 2).
 
     All are float32 but `image_index` (P,) int64. `points` and `guess` are (P, 2). Templates are `size` px wide and
     searched for up to `reach` px away.
@@ -314,7 +321,7 @@ def search_windows(
 
 
 def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
-    """Sample windows (N, m) as `ops.tracking.window_correlation` does, to the rounding of their positions.
+    """Sample grey levels in deformed windows (N, m), as `ops.tracking.window_correlation` up to rounding of positions.
 
     Images are (n, 1, H, W) of FRAME_KINDS, at least 4 x 4 px; `image_index` (N,) is int64, `places` (N, 2) and `warp`
     (N, 2, 2) are float32.
@@ -345,7 +352,7 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
 
 
 class CornerPlaces(NamedTuple, Generic[Array]):
-    """Points (B, count, 2) px and their response (B, count), float32, strongest first, padded with NaN."""
+    """Positions (B, count, 2) px and responses (B, count) of corners, float32, strongest first, padded with NaN."""
 
     points: Array
     response: Array
@@ -362,9 +369,9 @@ def corners(
     window: int,
     border: int,
 ) -> CornerPlaces[Array]:
-    """Detect corners in uint8 frames (B, 1, H, W), as `ops.tracking.corners` does.
+    """Detect corners in uint8 frames (B, 1, H, W), as `ops.tracking.corners`.
 
-    Responses exceed `floors` (B,) float32.
+    Only responses above `floors` (B,) float32 count.
 
     Raises:
         TypeError, ValueError: wrong dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.

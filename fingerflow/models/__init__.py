@@ -1,1 +1,1 @@
-"""Mechanics and decisions: partial slip, skin chain, friction, stress at depth, observer; float64, no images."""
+"""Mechanics and statistics of results in float64, without images: partial slip, skin chain, friction, observer."""

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Friction(NamedTuple):
-    """Dahl's force (N,) after a slide, and its derivatives by the position along the plate and above it."""
+    """Friction forces (N,) on N elements after a slide, with derivatives along the plate and normal to it."""
 
     force: Array
     along: Array
@@ -33,7 +33,7 @@ class Friction(NamedTuple):
 def dahl_friction(
     before: Array, old: Array, place: Array, steep: Array, stiffness: float = 500.0, exponent: float = 0.7
 ) -> Friction:
-    """Compute the friction of N elements after slides from ``old`` to ``place`` on a plate at z = 0.
+    """Compute the friction force on N elements that slide from ``old`` to ``place`` on a plate at z = 0.
 
     The closed form is taken at the mean of the limits before and after, which makes the error of a changing limit third
     order. The result is clamped to the last limit, so the force never exceeds it.

@@ -30,7 +30,7 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
 
 
 class Stress(NamedTuple):
-    """Stress in the unit of the load, tension positive; tau_yz is positive where the upper side is pulled along -y."""
+    """Stress in a half-space in the unit of the load, tension positive; tau_yz > 0: upper side pulled along -y."""
 
     sigma_y: Tensor
     sigma_z: Tensor
@@ -40,7 +40,7 @@ class Stress(NamedTuple):
 def stress(
     y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
 ) -> Stress:
-    """Compute the stress at points (y, z) under loads constant on each strip between two edges, exact to rounding.
+    """Compute the stress at points (y, z) under a load that is constant on each of M surface strips, exact to rounding.
 
     Args:
         y: position along the surface, in the unit of the edges; y and z broadcast to a shape S.
@@ -74,7 +74,7 @@ def stress(
 
 
 class _Kernels(NamedTuple):
-    """The four kernels integrated over each strip, (..., points, M)."""
+    """Integrals of four stress kernels over each of M load strips, (..., points, M)."""
 
     z_rr: Tensor  # of 2 z r^2 / R^4
     zzz: Tensor  # of 2 z^3 / R^4
@@ -87,7 +87,7 @@ def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Compute the kernel integrals from r at both ends of each strip, ``first`` being the greater one."""
+    """Compute kernel integrals over load strips from r at both ends of each strip, ``first`` being the greater one."""
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
     between = first + second
@@ -128,7 +128,7 @@ def _sinh_less(value: Tensor) -> Tensor:
 
 
 def _odd_series(value: Tensor, sign: float) -> Tensor:
-    """Return value^3 / 3! + sign value^5 / 5! + value^7 / 7! + sign value^9 / 9! + ..."""
+    """Return the series value^3 / 3! + sign value^5 / 5! + value^7 / 7! + sign value^9 / 9! + ..."""
     squared = value * value
     total = torch.zeros_like(value)
     for k in range(9, 0, -1):

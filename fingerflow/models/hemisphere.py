@@ -18,7 +18,8 @@ _SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of
 
 
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the compression (L - a) / L, dimensionless, in the broadcast shape; exact to a few roundings at any depth.
+    """Return the compression (L - a) / L of an arc L pressed flat to radius a, in the broadcast shape; exact to
+    rounding.
 
     A frictionless contact releases this compression, a sticking one retains it: about 10 % at 3 mm and a radius of
     10 mm. It is differentiable, also at delta = 0, where it is delta / (3 R).
@@ -38,19 +39,19 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return L = R arccos((R - delta) / R), in the unit of both; arguments, shape and errors as in `radial_strain`."""
+    """Return the arc length L = R arccos((R - delta) / R), unit of both; arguments and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return a = sqrt(R^2 - (R - delta)^2), in the unit of both; arguments, shape and errors as in `radial_strain`."""
+    """Return the contact radius sqrt(R^2 - (R - delta)^2), unit of both; arguments and errors as in `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return radius * (ratio * (2 - ratio)).sqrt()
 
 
 def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Return delta / R and R as float64, checked."""
+    """Check indentation and radius, and return delta / R and R as float64."""
     depth, size = (torch.as_tensor(value, dtype=torch.float64) for value in (delta, radius))
     if not bool(((size > 0) & (size < torch.inf)).all()):
         raise ValueError(f"radius {_worst(size, size > 0)}: give a positive length, in the unit of delta")
@@ -65,13 +66,13 @@ def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tenso
 
 
 def _worst(values: Tensor, allowed: Tensor) -> float:
-    """Return the first value that is not allowed."""
+    """Return the first value that violates a condition, for an error message."""
     wrong = values[~(allowed & values.isfinite())]
     return float((wrong if len(wrong) else values).flatten()[0])
 
 
 def _series(coefficients: tuple[float, ...], variable: Tensor) -> Tensor:
-    """Return c1 x + c2 x^2 + ..., by Horner's rule."""
+    """Return the power series c1 x + c2 x^2 + ..., by Horner's rule."""
     total = torch.zeros_like(variable)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * variable

@@ -1,5 +1,5 @@
-"""A chain of skin around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin deformation
-model"), derived from an energy.
+"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin
+deformation model"), derived from an energy.
 
 **Energy.** Elements i at X_i = (x, z) surround a rigid bone displaced by U; the plate is at z = 0. X_i0 is the
 undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
@@ -54,7 +54,7 @@ REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain coun
 
 @dataclass(frozen=True)
 class PressedChain:
-    """Chains of N elements; leading dimensions (...) are those of the parameters, after the T times of `follow`."""
+    """State of pressed skin chains of N elements; dimensions (...) are times T, for `follow`, then parameters."""
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
     displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
@@ -73,8 +73,8 @@ class PressedChain:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, for
-        `half_space.stress`. Raises ValueError if nothing touches.
+        """Return the surface load under all contacts for `half_space.stress`: edges (..., M + 1) in m, pressure and
+        traction (..., M) in Pa. Raises ValueError if nothing touches.
         """
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
@@ -98,7 +98,7 @@ def press(
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
 ) -> PressedChain:
-    """Apply a load at once and hold it until all forces balance, to 2e-7 of the load.
+    """Press a skin chain on the plate with a sudden load until all forces balance, to 2e-7 of the load.
 
     With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. There is no
     gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
@@ -144,7 +144,7 @@ def follow(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
-    """Compute the chain at each of the times (T,), under loads linear between them, such as a measured force trace.
+    """Compute the motion of a skin chain at times (T,) under loads that are linear between them, such as a force trace.
 
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
     each time, at the current positions of the elements. Raises ValueError as `press` does.
@@ -170,7 +170,7 @@ def follow(
 
 
 def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the chains of all parameter sets and their undeformed state."""
+    """Return the chains for all parameter sets, with their undeformed state of motion."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]
@@ -183,7 +183,7 @@ def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, 
 
 
 def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether it is a prescribed motion."""
+    """Return the loads (..., 2) along x and z, and for each direction whether the load is a prescribed motion."""
     load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m
@@ -203,7 +203,7 @@ def _trace(name: str, value: Tensor | float | None, count: int) -> Tensor | None
 
 
 def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) -> Tensor:
-    """Return the friction coefficient (..., N) of each element."""
+    """Evaluate and check the friction coefficient (..., N) of each of N elements at a time."""
     found = friction(time, x) if callable(friction) else torch.as_tensor(friction, dtype=torch.float64)[..., None]
     coefficient = torch.as_tensor(found, dtype=torch.float64).expand(*shape, x.shape[-1])
     _refuse_gradients(coefficient)
@@ -254,7 +254,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """Return the share (..., N - 1) of each link on the plate.
+    """Return which share (..., N - 1) of each link between two elements lies on the plate.
 
     Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
     length has no jumps.
@@ -273,14 +273,14 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
 
 
 def _between_neighbours(values: Tensor) -> Tensor:
-    """Return half the difference of both neighbours (..., N); at an end the difference to the one neighbour."""
+    """Return central differences (..., N): half the difference of both neighbours; one-sided at the ends."""
     inside = (values[..., 2:] - values[..., :-2]) / 2
     ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
     return torch.cat((ends[0], inside, ends[1]), -1)
 
 
 def weighted_median(values: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted median (...), linear between values; NaN without weight."""
+    """Return the weighted median (...) over the last dimension, interpolated linearly; NaN if all weights are 0."""
     order = torch.where(weights > 0, values, torch.inf).argsort(-1)
     values, weights = values.gather(-1, order), weights.gather(-1, order)
     reached = (weights.cumsum(-1) - weights / 2) / weights.sum(-1, keepdim=True)

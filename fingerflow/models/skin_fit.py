@@ -18,7 +18,7 @@ _FARTHEST = 50.0  # times the first guess, either way
 
 @dataclass(frozen=True)
 class SkinFit:
-    """Estimates and their intervals (low, high) at `level`; the interval of a parameter that was not fitted is None."""
+    """Fitted friction and stiffness with intervals (low, high) at `level`; None for a parameter not fitted."""
 
     friction: float
     friction_interval: tuple[float, float] | None
@@ -42,7 +42,8 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Fit friction and k_t by least squares in their logarithms; the plate's stiffness keeps its ratio to k_t.
+    """Fit friction and tissue stiffness k_t by least squares in their logarithms; plate stiffness keeps its ratio to
+    k_t.
 
     Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
     stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks
@@ -79,7 +80,7 @@ def fit_skin(
     first = begin[free]
 
     def at(logarithms: Tensor) -> Tensor:
-        """Return the residuals (S, count) of S sets of the fitted logarithms; all presses run in one batch."""
+        """Return the residuals (S, count) of S parameter sets, given as logarithms; all presses run in one batch."""
         both = torch.from_numpy(begin).repeat(len(logarithms), 1)
         both[:, torch.from_numpy(free)] = logarithms
         mu, tissue = both.exp()[..., None].unbind(1)

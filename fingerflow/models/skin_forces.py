@@ -1,4 +1,4 @@
-"""Forces of one skin chain and their derivatives; `skin_chain` has the derivation.
+"""Forces in one skin chain and their derivatives, as derived in `skin_chain`.
 
 Nodes (N + 1, 2) are the positions of the N elements and, in the last row, the displacement of the bone, all in m.
 """
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Chain(NamedTuple):
-    """One undeformed chain of N elements with its parameters."""
+    """Parameters of one skin chain of N elements and its undeformed shape."""
 
     reference: Array  # (N, 2) x along the plate and z above it, m
     radius: float
@@ -28,17 +28,17 @@ class Chain(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Return the centre of the half-circle, where the tissue's lines meet."""
+        """Return the centre of the undeformed half-circle, (2,) m, where the lines of tissue meet."""
         return np.array([0.0, self.radius])
 
     @property
     def dampers(self) -> Array:
-        """Return the damping (N + 1, 1) of each node, N s/m."""
+        """Return the damping coefficients (N + 1, 1) of N elements and the bone, N s/m."""
         return np.array([self.damping] * len(self.reference) + [self.bone_damping])[:, None]
 
 
 def half_circle(count: int, radius: float) -> Array:
-    """Return the half-circle (N, 2), exactly mirror-symmetric, its lowest point on the plate."""
+    """Return N positions (N, 2) on a half-circle, exactly mirror-symmetric, whose lowest point touches the plate."""
     right = (
         np.linspace(0, np.pi / 2, count // 2 + 1)[1:]
         if count % 2
@@ -64,7 +64,7 @@ def elastic_forces(chain: Chain, nodes: Array) -> Array:
 
 
 def tissue_slopes(chain: Chain, nodes: Array) -> Array:
-    """Compute the stiffness (N, 2, 2) of tissue, shear and nail between each element and the bone."""
+    """Compute the stiffness matrices (N, 2, 2) of tissue, shear and nail between each of N elements and the bone."""
     line = nodes[:-1] - chain.centre - nodes[-1]
     along = np.hypot(*line.T)
     direction, ratio = line / along[:, None], chain.radius / along

@@ -28,7 +28,7 @@ SHORTEST_S = 1e-13  # a step that falls below it never meets the tolerance
 
 @dataclass
 class State:
-    """State of one chain; changed in place."""
+    """State of motion of one skin chain, which `advance` changes in place."""
 
     nodes: Array  # (N + 1, 2) m, elements and bone as in `skin_forces`
     friction: Array  # (N,) N, positive where it opposes motion along +x
@@ -51,7 +51,7 @@ class Load:
 
 
 def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_]) -> Array:
-    """Return the unbalanced forces (N + 1, 2) on the nodes, N; 0 in held directions of the bone."""
+    """Return the unbalanced forces (N + 1, 2) on elements and bone, N; 0 for the bone in held directions."""
     forces = elastic_forces(chain, state.nodes)
     forces[:-1, 0] -= state.friction
     forces[-1] = np.where(held, 0.0, forces[-1] + load)
@@ -59,7 +59,7 @@ def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_])
 
 
 def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
-    """Advance by ``duration`` s, or until forces balance to ``rest`` N; return the elapsed time (s).
+    """Advance one chain by ``duration`` s, or until forces balance to ``rest`` N; return the elapsed time (s).
 
     ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
     early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
@@ -90,7 +90,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    """Return the factor for the next step: powers of 2^(1/4), from 2^(-7/4) to 2.
+    """Return the factor for the next step length by the error of this one: a power of 2^(1/4), from 2^(-7/4) to 2.
 
     The coarse grid keeps rounding in the error from changing the step lengths.
     """
@@ -100,7 +100,7 @@ def _growth(error: float) -> float:
 def _try(
     chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
 ) -> float:
-    """Try one step, accept it if its error over the tolerance is at most 1, and return that ratio.
+    """Try one time step and accept it if its error is within the tolerance; return the ratio of error to tolerance.
 
     The ratio is infinite if Newton's iteration fails.
     """
@@ -153,7 +153,8 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve damping (X - known) = c forces(X) for nodes and friction, and return the last matrix with them.
+    """Solve the implicit equation damping (X - known) = c forces(X) by Newton's method; return nodes, friction and last
+    matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.

@@ -1,4 +1,4 @@
-"""Motion of many skin chains: compiled where available, else one after the other."""
+"""Time integration of many skin chains: by the compiled library where available, else one chain after the other."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _FIRST_STEP = 1e-6  # s
 
 @dataclass(frozen=True)
 class Motion:
-    """State of chains (..., N elements) and the time and steps that led to it; float64, SI units."""
+    """State of motion of many chains (...) of N elements, with the time and steps that led to it; float64, SI units."""
 
     place: Tensor  # (..., N, 2)
     bone: Tensor  # (..., 2)
@@ -28,7 +28,7 @@ class Motion:
     steps: Tensor  # (...) int64
 
     def single(self, index: int) -> State:
-        """Return a copy of the state of the chain at a flat index, without velocity."""
+        """Return a copy of the state of one chain, by its flat index, without velocity."""
         count = self.place.shape[-2]
         place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]
@@ -37,7 +37,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Chains:
-    """Chains with one number of elements and parameters of one shape (...)."""
+    """Parameters of many chains (...) with the same number of elements."""
 
     shape: torch.Size
     reference: Tensor  # (..., N, 2)
@@ -46,7 +46,7 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Return chains of ``count`` elements; nail and bone damping exist once and do not depend on ``count``."""
+        """Return chains of ``count`` elements; nail and bone damping exist once, so they do not depend on ``count``."""
         parameters = skin.for_elements(count)
 
         def number(name: str, of: SkinParameters = parameters) -> Tensor:
@@ -63,7 +63,7 @@ class Chains:
 
     @property
     def contact(self) -> Tensor:
-        """Return the plate's stiffness (...), N/m."""
+        """Return the plate's stiffness for each chain (...), N/m."""
         return self.numbers[..., NUMBERS.index("contact")]
 
     def undeformed(self) -> Motion:
@@ -73,13 +73,13 @@ class Chains:
         return Motion(self.reference, bone, rubbed, none + _FIRST_STEP, none, none.long())
 
     def single(self, index: int) -> Chain:
-        """Return the chain at a flat index."""
+        """Return the parameters of one chain, by its flat index."""
         count = self.reference.shape[-2]
         numbers = self.numbers.reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
 
     def unbalanced(self, at: Motion, load: Tensor, held: tuple[bool, bool]) -> Tensor:
-        """Return the sum of the absolute unbalanced forces (...) on elements and bone, N."""
+        """Return the sum of absolute unbalanced forces on elements and bone for each chain (...), N."""
         loads = load.reshape(-1, 2).numpy()
         sums = [
             np.abs(net_forces(self.single(k), at.single(k), loads[k], np.array(held))).sum() for k in range(len(loads))
@@ -97,7 +97,8 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Advance by ``duration`` s under loads (..., 2, 2), first and last by x and z, or until balance to ``rest`` N.
+    """Advance all chains by ``duration`` s, or until forces balance to ``rest`` N, under loads (..., 2, 2): first and
+    last, by x and z.
 
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.

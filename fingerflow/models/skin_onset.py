@@ -1,4 +1,5 @@
-"""A pressed skin chain as a camera under the glass measures it: displacement and divergence since each point's contact.
+"""Displacement and divergence of a pressed skin chain since each point's contact, as a camera under the glass measures
+them.
 
 A recording shows skin only from its first contact, so displacement counts from there: u = x(t) - xi, with xi the
 position where the contact edge passed the point. With the chain as the section of a finger of revolution the divergence
@@ -17,7 +18,7 @@ _SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as roundin
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """A press at T times of chains (...), at M elements from the axis outward; lengths in m, NaN without contact."""
+    """Press as seen since contact, at T times and M elements from the axis outward; lengths in m, NaN off contact."""
 
     radius: Tensor  # (T, ..., M) distance from the axis now
     displacement: Tensor  # (T, ..., M) outward since the onset
@@ -27,7 +28,8 @@ class SinceOnset:
     contact_area: Tensor  # (T, ...) m², of the disc
 
     def mean_within(self, share: float) -> Tensor:
-        """Return the area-weighted mean divergence (T, ...) within that share of the contact radius; NaN if no contact.
+        """Return the area-weighted mean divergence (T, ...) within a `share` of the contact radius; NaN without
+        contact.
 
         By the divergence theorem it measures the flow out of the disc. Unlike a median it depends little on the edge of
         the contact.
@@ -38,7 +40,7 @@ class SinceOnset:
 
 
 def since_onset(press: PressedChain) -> SinceOnset:
-    """Compute displacement and divergence since contact for presses at T times, as `follow` returns them.
+    """Compute displacement and divergence since each point's contact, for presses at T times from `follow`.
 
     The times must be close enough that the contact edge moves evenly between two. A median by area is small: divergence
     falls from the middle outward and is negative at the edge, where most of the area lies.
@@ -88,7 +90,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
 
 
 def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
-    """Return the slope of odd values (..., M) from the axis outward, by central differences, one-sided at the edge."""
+    """Return the radial derivative of odd values (..., M) by central differences, one-sided at the outer end."""
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
     place = torch.cat((-at[..., mirrored], at), -1)

@@ -13,7 +13,7 @@ from fingerflow.models.skin_forces import Array, Chain, tissue_slopes
 
 
 class Arrow:
-    """Matrix damping I + c K of the nodes, with K the negative derivative of their forces."""
+    """Matrix damping I + c K of elements and bone in an implicit step, with K the negative derivative of the forces."""
 
     def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
         """Assemble the matrix; ``held`` (2,) bool marks directions in which the bone's motion is prescribed."""
@@ -38,7 +38,7 @@ class Arrow:
         self.held = held
 
     def solve(self, sides: Array) -> Array:
-        """Solve for right-hand sides (N + 1, 2); in a held direction that of the bone is its motion."""
+        """Solve for right-hand sides (N + 1, 2); in a held direction the bone's entry is its prescribed motion."""
         elements, bone = sides[:-1].reshape(-1, 1), sides[-1]
         columns = np.concatenate((elements, self.column), 1)
         of = solve_banded((3, 3), self.band, columns, overwrite_b=True, check_finite=False)

@@ -16,7 +16,7 @@ RECEPTOR_DEPTHS_M = (1.2e-3, 2e-3)  # depths of the paper's mechanoreceptors
 
 
 class Strain(NamedTuple):
-    """Strain, dimensionless, extension positive."""
+    """Strain along y and z, dimensionless, extension positive."""
 
     along_y: Tensor
     along_z: Tensor
@@ -31,7 +31,7 @@ def viscoelastic_strain(
     rate: Tensor | float = 100.0,
     poisson_ratio: Tensor | float = 0.4,
 ) -> Strain:
-    """Compute the strain (T, ...) under stresses (T, ...) linear between the times (T,): exact for these, at any step.
+    """Compute the strain (T, ...) under stresses (T, ...) that are linear between the times (T,), exact at any step.
 
     The strain is 0 at the first time, whatever the stress is then.
 

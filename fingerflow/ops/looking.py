@@ -1,4 +1,4 @@
-"""Test whether data-dependent branching is allowed."""
+"""Test whether an op may branch on the values of its tensors: not while torch traces, exports or compiles."""
 
 import torch
 from torch import Tensor
@@ -7,9 +7,9 @@ from fingerflow.kernels.tensors.serving import is_recorded
 
 
 def looks(*tensors: Tensor | None) -> bool:
-    """Return True if branching on tensor values, also for shapes, is allowed.
+    """Return True if code may branch on the values of these tensors, or derive shapes from them.
 
-    It is not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
+    It may not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """
     traced = torch.compiler.is_compiling() or is_recorded()
     return not traced and all(one is None or (type(one) is Tensor and one.is_cpu) for one in tensors)

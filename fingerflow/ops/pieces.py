@@ -13,14 +13,15 @@ _PIXELS = 1 << 19
 
 
 def frames_at_once(frames: Tensor) -> int:
-    """Return how many frames of (B, 1, H, W) to compute at once where each needs many intermediate planes."""
+    """Return how many frames (B, 1, H, W) to compute at once in an op with many intermediate planes per frame."""
     return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
-    """Return `compute(*given)`, a tensor or a named tuple of tensors with one row per frame, computed in pieces.
+    """Evaluate `compute(*given)` a few frames at a time.
 
-    While a graph is traced and on devices other than the CPU the whole batch is computed in one call.
+    It returns a tensor, or a named tuple of tensors, with one row per frame. While a graph is traced and on devices
+    other than the CPU the whole batch is computed in one call.
 
     Args:
         compute: function that treats frames independently.

@@ -16,12 +16,12 @@ def components_first(points: Tensor) -> Tensor:
 
 
 def finite(values: Tensor) -> Tensor:
-    """Return (...) bool, True where floating values are finite: two operations where `isfinite` takes four."""
+    """Return True for finite values: two operations where `isfinite` takes four."""
     return values.abs() < math.inf
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """Sum (..., K, P) over K, a fixed number, to (..., 1, P).
+    """Return the sum of a tensor (..., K, P) over its axis of K elements, (..., 1, P); K is a fixed number.
 
     It is a product with ones: a reduction over such an axis takes ten times as long.
     """
@@ -29,14 +29,14 @@ def sum_rows(values: Tensor) -> Tensor:
 
 
 def symmetric(three: Tensor) -> Tensor:
-    """Return symmetric matrices (B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    """Return symmetric matrices (B, 2, 2, Q) from their elements xx, xy, yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)
     result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
     return result
 
 
 def products(left: Tensor, right: Tensor) -> Tensor:
-    """Return the products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
+    """Return the matrix products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
 
     Written out, since batched products of small matrices take longer.
     """

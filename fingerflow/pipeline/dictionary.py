@@ -7,7 +7,7 @@ from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
-    """Description of one variable.
+    """Description of one result variable.
 
     Attributes:
         units: of the data set; ``shown_unit`` that of figures, reports and pages, "" if dimensionless.
@@ -29,7 +29,7 @@ class DictionaryEntry(NamedTuple):
     flags: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return three or four lines of plain text."""
+        """Return the description of the variable in three or four lines of plain text."""
         asked = "" if self.unasked else ", only where it is named"
         shown = "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
         lines = [
@@ -43,7 +43,7 @@ class DictionaryEntry(NamedTuple):
 
 
 def dictionary() -> tuple[DictionaryEntry, ...]:
-    """Return all variables, stage by stage in the order in which these run."""
+    """Return the descriptions of all result variables, in the order of the stages that compute them."""
     return tuple(
         DictionaryEntry(
             variable.name,

@@ -45,7 +45,7 @@ _SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """Everything that the results of a stage depend on.
+    """Cache key of a stage: a digest of everything that its results depend on, and the values of its settings.
 
     Attributes:
         digest: of all of it.
@@ -57,7 +57,7 @@ class StageKey(NamedTuple):
 
 
 class Reused(NamedTuple):
-    """Stages of an earlier result that are still valid.
+    """Outcome of the comparison with an earlier result: stages whose results remain valid, and reasons for the others.
 
     Attributes:
         earlier: the earlier result, open.
@@ -72,19 +72,19 @@ class Reused(NamedTuple):
     computed: Mapping[type[Stage], str]
 
     def restore(self, stage: Stage) -> None:
-        """Restore results and warnings of a stage from the earlier result, instead of running it."""
+        """Copy a stage's results and warnings from the earlier result, instead of running the stage."""
         stage.restore(self.earlier)
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 
     def said(self) -> str:
-        """Return as JSON which stages are taken over and why the others are not; an attribute of the result."""
+        """Return which stages were reused, and why the others were not, as JSON for an attribute of the result."""
         names = sorted(stage.name for stage in self.stages)
         computed = {stage.name: why for stage, why in self.computed.items()}
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the key of each stage of a plan, by `Stage.place`.
+    """Return the cache key of each stage of a plan, by `Stage.place`.
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -111,7 +111,7 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
 def record(
     plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
 ) -> str:
-    """Return keys, computed variables and warnings of all stages as JSON, for `reused`."""
+    """Return key, computed variables and warnings of each stage as JSON, which `reused` reads from a result."""
     return json.dumps(
         {
             kind.name: {
@@ -125,7 +125,7 @@ def record(
 
 
 def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], StageKey], inputs: Inputs) -> Reused:
-    """Return which stages of a plan need not run, as their results in `earlier` are still valid.
+    """Compare a plan with an earlier result: which stages need not run because their results there are still valid.
 
     Raises FingerflowError where the result is of another recording, or of other frames of it.
     """
@@ -158,7 +158,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _why_not(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return why a stage's earlier results are not valid, or an empty string where they are."""
+    """Return why the earlier results of a stage are not valid, or "" if they are."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
@@ -182,7 +182,7 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield a key of the scene with its value, or all keys of a table."""
+    """Yield a dotted key of the scene, or all keys below a table, with their values; a file gives a content digest."""
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return
@@ -210,7 +210,7 @@ def _content(file: Path) -> str:
 
 @cache
 def code_version() -> str:
-    """Return a digest of all source that results depend on, and of the compiled kernels."""
+    """Return the version with a digest of all source code and compiled kernels that results depend on."""
     package = Path(__file__).parents[1]
     files = [file for room in _CODE for file in (package / room).rglob("*.py")]
     files += package.glob("_kernels*")

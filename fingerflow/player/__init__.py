@@ -1,12 +1,12 @@
-"""Player that runs an exported bundle on a live stream, with numpy and onnxruntime but without torch.
+"""Player: computes the results of a live stream with an exported bundle, using numpy and onnxruntime but not torch.
 
     python -m fingerflow.player --source synthetic  # in the bundle's folder
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
 A bundle contains this folder unchanged. Frames pass through threads: one for capture, one for each frame that is
 computed in parallel, one to measure, one to store. The main thread monitors them, and another serves the live page.
-Every array that the graphs read or write is allocated once. Positions are (x, y) px of the views with integer pixel
-centres, areas mm², axes mm, times s.
+Frame buffers and records are allocated once. Positions are (x, y) px of the views with integer pixel centres, areas
+mm², axes mm, times s.
 """
 
 from fingerflow.errors import PlayerError

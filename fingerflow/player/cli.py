@@ -42,7 +42,9 @@ ReadForces = Callable[[Path], LiveForces | None]
 def main(
     arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces = lambda scene: None
 ) -> int:
-    """Run the player; return 0 at the source's end, 2 after an error of the user, 130 or 143 after Ctrl-C or SIGTERM.
+    """Run the player from its command line and return the exit status.
+
+    The status is 0 at the source's end, 2 after an error of the user, 130 or 143 after Ctrl-C or SIGTERM.
 
     Args:
         arguments: of the command line.
@@ -140,7 +142,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
 
 
 def _may_replace(path: Path) -> bool:
-    """Return whether a path is free, or holds the summary of a stream."""
+    """Return whether a file may be written: the path is free, or holds the summary of an earlier stream."""
     try:
         return not path.exists() or json.loads(path.read_bytes()).keys() >= _SUMMARY
     except (OSError, ValueError, AttributeError, RecursionError):
@@ -149,7 +151,7 @@ def _may_replace(path: Path) -> bool:
 
 @contextlib.contextmanager
 def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
-    """Stop the player cleanly at the first Ctrl-C or SIGTERM; a second one has Python's own effect.
+    """Stop the player cleanly at the first Ctrl-C or SIGTERM; a second signal has Python's usual effect.
 
     Yields the list of received signals.
     """

@@ -1,4 +1,4 @@
-"""Warnings for the summary of a stream about results that no frame has given."""
+"""Warnings in the summary of a stream about results that no frame has given, such as contact."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fingerflow.tracker.stream_frame_quality import USABLE
 
 
 class Findings:
-    """Counter of usable frames, and of whether points and contact were found in any.
+    """Counter of usable and unusable frames, which also records whether points and contact were ever found.
 
     Attributes:
         not_usable: number of frames without results, by the names of `frame_status`.
@@ -22,20 +22,20 @@ class Findings:
         self._points = self._contact = False
 
     def skip(self, status: int) -> bool:
-        """Count a frame that is not usable; return whether its status differs from that of the frame before."""
+        """Count a frame that is not usable; return whether its status differs from that of the previous frame."""
         self.not_usable[FRAME_STATUS[status]] += 1
         begins, self._last = status != self._last, status
         return begins
 
     def count(self, tracked: int, area: float) -> None:
-        """Count a usable frame by its number of tracked points and its real contact area in any unit."""
+        """Count a usable frame, given its number of tracked points and its real contact area in any unit."""
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
         self._contact |= area > 0
 
     def missing(self, threshold_known: bool) -> list[str]:
-        """Return a sentence for each result that was found in no frame."""
+        """Return a warning sentence for each kind of result that no frame has given."""
         if not self._usable:
             counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
             return [

@@ -1,4 +1,4 @@
-"""Objects that the threads of a stream exchange: queues, order of completion, frame buffers."""
+"""Objects that the threads of a stream exchange: closable queues, ordered completion, frame buffers."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Channel(Generic[T]):
 
 
 class InOrder(Generic[T]):
-    """Completion of work items in the order in which they began, though threads compute them in parallel.
+    """Ordered completion: work items end in the order in which they began, though threads compute them in parallel.
 
     A thread that finishes before its turn leaves its item to the thread whose turn it is.
 
@@ -104,12 +104,12 @@ class InOrder(Generic[T]):
             return not self._stopped
 
     def begin(self) -> int:
-        """Return the number of an item that begins; only one thread at a time may call this."""
+        """Register a new item and return its number; only one thread at a time may call this."""
         self.begun += 1
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """End an item and those that wait for it, unless an earlier item is not done yet."""
+        """End a computed item, and later ones that wait for it, unless an earlier item is still being computed."""
         with self._changed:
             self._done[number] = piece
             if self._ending:
@@ -128,14 +128,14 @@ class InOrder(Generic[T]):
                 self._changed.notify_all()
 
     def stop(self) -> None:
-        """Stop further items from beginning; items before the first missing one still end."""
+        """Let no further items begin; computed items still end if no earlier item is missing."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
 
 
 class Slot(Frame):
-    """Frame buffer: both views (1, 1, H, W), the frame's number and its time of arrival."""
+    """Frame buffer: holds both views (1, 1, H, W) of a frame, its number and its time of arrival."""
 
     def __init__(self, bundle: Bundle) -> None:
         shape = (1, 1, bundle.height, bundle.width)
@@ -143,7 +143,7 @@ class Slot(Frame):
         self.arrival = 0.0
 
     def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
-        """Copy the views out of a frame; raise PlayerError where its size or bit depth does not match."""
+        """Copy the views of a frame into the buffer; raise PlayerError where its size or bit depth does not match."""
         needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(

@@ -1,4 +1,4 @@
-"""Latency: time from the arrival of a frame to its result."""
+"""Statistics of latency, the time from the arrival of a frame to its result."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Latencies:
-    """Histogram of latencies in bins 1 % wide from 10 µs up to 20 s, so that memory does not grow with the stream."""
+    """Histogram of latencies in bins 1 % wide from 10 µs to 20 s; its memory does not grow with the stream."""
 
     _first, _ratio = 1e-5, 1.01
 
@@ -25,13 +25,13 @@ class Latencies:
         self.worst = max(self.worst, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return a quantile in s, as the upper end of its bin; NaN if the histogram is empty."""
+        """Return a quantile of the latencies in s, as the upper end of its bin; NaN if there are none."""
         if not self.count:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
         return min(self._first * self._ratio ** (place + 1), self.worst)
 
     def summary(self) -> dict[str, float | None]:
-        """Return median, 99th percentile and largest latency in ms; None each if the histogram is empty."""
+        """Return the median, 99th percentile and largest latency in ms; None for each if there are none."""
         facts = {"median": self.quantile(0.5), "p99": self.quantile(0.99), "worst": self.worst}
         return {name: round(1e3 * value, 3) if self.count else None for name, value in facts.items()}

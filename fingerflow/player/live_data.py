@@ -1,4 +1,4 @@
-"""Latest image and time traces of a stream, for the live page."""
+"""Latest image and time traces of a stream, as the live page shows them."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a fra
 
 
 class LiveForces(NamedTuple):
-    """Forces by name, (frames,) N each, of the frames from number ``first`` on."""
+    """Forces of a recording by name, (frames,) N each, for the frames from number ``first`` on."""
 
     first: int
     values: Mapping[str, Array]
 
     def at(self, number: int) -> dict[str, float]:
-        """Return the forces in a frame by name; NaN outside the known frames."""
+        """Return the forces in a frame by name; NaN for frames outside the recorded range."""
         place = number - self.first
         return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
 
 
 class LiveViews(NamedTuple):
-    """Input of an image: a frame buffer, and the (H, W) real-contact mask if the recipe exports it."""
+    """Data from which an image is drawn: a frame buffer, and the real-contact mask (H, W) if the recipe exports it."""
 
     slot: Slot
     real_contact_mask: Array | None
 
 
 class LiveData:
-    """Latest image and time traces, written by the storing thread and read by the page.
+    """Latest image and time traces of a stream; the storing thread writes them and the page server reads them.
 
     Args:
         bundle: the bundle that is played.
@@ -74,11 +74,14 @@ class LiveData:
         self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
 
     def is_watched(self) -> bool:
-        """Return whether a page has requested data in the last two seconds."""
+        """Return whether a live page has requested data in the last two seconds."""
         return time.perf_counter() - self._asked < 2
 
     def is_due(self) -> bool:
-        """Return whether a page is open and the last image is old enough; if so, count the next image as drawn now."""
+        """Return whether the live page needs a new image; if so, record that it is drawn now.
+
+        It does if a page is open and the last image is old enough.
+        """
         now = time.perf_counter()
         if not self.is_watched() or now - self._drawn < _PAGE_INTERVAL:
             return False
@@ -86,7 +89,7 @@ class LiveData:
         return True
 
     def show(self, record: Array, views: LiveViews) -> None:
-        """Store a downsampled image of a frame and its result."""
+        """Store the downsampled views of a frame and its results as the latest image."""
         arrays = {
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
             for name, view in views.slot.views.items()
@@ -101,7 +104,7 @@ class LiveData:
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
-        """Append a frame to the traces; the oldest is dropped when they are full."""
+        """Append the results of a frame to the time traces; the oldest entry is dropped when they are full."""
         names, expected = record.dtype.names or (), self._expected_in(record)
         row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
         row += self._forces.at(int(record["frame"])).values()
@@ -111,7 +114,10 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Return the length of a JSON text (little-endian uint32), the text, and its arrays, each padded to 4 bytes."""
+        """Return the latest data as bytes for the page: a JSON text, then the arrays that it describes.
+
+        The length of the text (little-endian uint32) comes first; text and arrays are padded to 4 bytes.
+        """
         self._asked = time.perf_counter()
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
         arrays = self._arrays | {"traces": traces}

@@ -1,4 +1,4 @@
-"""Server of the live page: three static files, the live data, and a request to reseed the points.
+"""HTTP server of the live page: three static files, the live data, and a request to reseed the points.
 
 The page is served to this computer and to those that its address is bound for. Requests for another host name, from
 pages of other sites, or with a body are refused. The number of clients and the duration of a request are limited.
@@ -90,7 +90,7 @@ def serve_page(
 
 
 class PageServer(ThreadingHTTPServer):
-    """HTTP server for at most `_CLIENTS` clients at once, with a time limit for each request."""
+    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request."""
 
     daemon_threads = True
 
@@ -103,14 +103,14 @@ class PageServer(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def stop(self) -> None:
-        """Stop the server; an open page is served a little longer, so that it shows how the stream has ended."""
+        """Stop the server; an open page is served a little longer, to show how the stream has ended."""
         if self._live.is_watched():
             time.sleep(_LAST_LOOK)
         self.shutdown()
         self.server_close()
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a client.
+        """Accept a connection of a client.
 
         Raises OSError where no client can be accepted; it waits first if all descriptors are in use.
         """
@@ -125,7 +125,7 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a client in its own thread; close the connection of clients beyond the limit at once."""
+        """Serve a client in its own thread; close the connection at once if there are too many clients."""
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)
             return
@@ -136,7 +136,7 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a client, and release its place when it has gone."""
+        """Serve a client, and free its place when the client has gone."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -144,7 +144,7 @@ class PageServer(ThreadingHTTPServer):
             self._room.release()
 
     def service_actions(self) -> None:
-        """Close, twice a second, the connections of clients whose request takes too long."""
+        """Close the connections of clients whose request takes too long; called twice a second."""
         now = time.monotonic()
         for connection, since in list(self.asking.items()):
             if now - since > _REQUEST:
@@ -155,14 +155,14 @@ class PageServer(ThreadingHTTPServer):
                     continue  # the client has closed it
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log an error in one line, except for lost connections."""
+        """Log an error of a request in one line; lost connections are not logged."""
         error = sys.exc_info()[1]
         if error is not None and not isinstance(error, OSError):
             log.warning("live page: %s: %s", type(error).__name__, first_line(error))
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler that accepts only requests without a body, for a name of this computer, from its own pages."""
+    """Request handler that refuses requests with a body, for a foreign host name, or from pages of other sites."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "fingerflow", ""
@@ -170,12 +170,12 @@ class _Handler(BaseHTTPRequestHandler):
     server: PageServer
 
     def handle_one_request(self) -> None:
-        """Handle a request; its time limit runs from the start of the wait for it."""
+        """Handle one request; its time limit starts when the server begins to wait for it."""
         self.server.asking[self.connection] = time.monotonic()
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Return whether the request was refused; the refusal is then sent and ends the connection."""
+        """Check a request; if it must be refused, send the refusal, end the connection and return True."""
         self.server.asking.pop(self.connection, None)
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
@@ -206,10 +206,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: the page sends fifteen requests a second."""
+        """Log nothing, because the page sends fifteen requests a second."""
 
     def _let_body_pass(self) -> None:
-        """Read and discard the rest of the body; closing the connection before would lose the response."""
+        """Read and discard the rest of a request's body; closing the connection earlier would lose the response."""
         self.connection.shutdown(socket.SHUT_WR)
         self.connection.settimeout(_LINGER)
         taken = 0
@@ -217,13 +217,16 @@ class _Handler(BaseHTTPRequestHandler):
             taken += len(part)
 
     def _is_own(self, name: str) -> bool:
-        """Return whether a host name can only mean this computer; another name may be a DNS rebinding attack."""
+        """Return whether a host name can only mean this computer.
+
+        Any other name may be a DNS rebinding attack.
+        """
         here = str(self.connection.getsockname()[0])
         own = {here, self.server.host.lower(), self.server.server_name.lower(), socket.gethostname().lower()}
         return name in own - {"", "0.0.0.0"} or (name == "localhost" and here.startswith("127."))
 
 
 def _name(host: str) -> str:
-    """Return a host without its port, in lower case."""
+    """Return the host name of a Host header, without its port, in lower case."""
     name, _, port = host.strip().lower().rpartition(":")
     return name if name and port.isdigit() else host.strip().lower()

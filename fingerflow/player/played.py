@@ -1,4 +1,4 @@
-"""Input of a stream: a source, the range of its frames, and the images of the empty glass and without light."""
+"""Input of a stream: frame source, range of frames, and images of the empty glass and without light."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STILLS = 64  # frames of the empty glass that are averaged: the noise is then a
 
 
 class Played(NamedTuple):
-    """Input of a stream: a source, the range of its frames, and the contact views of the empty glass and without light.
+    """Input of a stream: frame source, range of frames, and contact views of the empty glass and without light.
 
     ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
     known. ``forces_in`` is the scene file that names the forces of these frames.
@@ -41,7 +41,7 @@ class Played(NamedTuple):
 
 
 def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
-    """Return the input that the command line requests; raise PlayerError where its options and the scene conflict."""
+    """Choose the input of a stream from the command line; raise PlayerError if options and scene conflict."""
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
     shape = None if options.shape is None else (options.shape[0], options.shape[1])
@@ -93,7 +93,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """Return a view (H, W) float32 of the mean of the first 64 frames of a file; frames may hold the view alone.
+    """Return a view (H, W) float32, averaged over the first 64 frames of a file; frames may hold the view alone.
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """

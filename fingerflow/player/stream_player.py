@@ -1,4 +1,4 @@
-"""Stream player: its threads, and the frames, outcomes and records that pass between them."""
+"""Stream player: its threads, and how frames, outcomes and records pass between them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _RECORDS_WAITING = 512  # records of more than a second, the time that a slow di
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a run of a stream.
+    """Settings of one run of the player.
 
     Attributes:
         every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
@@ -67,7 +67,7 @@ class Settings:
 
 
 class Player:
-    """Player of one stream from source to results; `run` returns when it has ended.
+    """Player of one stream, from its source to stored results; `run` returns when the stream has ended.
 
     Raises FingerflowError for every error that the user can correct; the results until then are complete.
     """
@@ -119,7 +119,7 @@ class Player:
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
-        """Play the stream and return its summary."""
+        """Play the stream to its end and return its summary."""
         after_computing = (self._free.close, self._frames.close, self._close_outcomes)
         after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
@@ -167,11 +167,11 @@ class Player:
         return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
-        """End the stream cleanly: frames that have arrived are still processed."""
+        """End the stream cleanly: frames that have already arrived are still processed."""
         self._stop.set()
 
     def summary(self) -> dict[str, Any]:
-        """Return counts, duration in s, rate and latencies until now."""
+        """Return the frame counts, duration in s, rate and latencies of the stream until now."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
             "frames_in": self.frames_in,
@@ -208,7 +208,7 @@ class Player:
         }
 
     def _guard(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Run the step of a thread, then close the queues in `after`; a failure stops the stream."""
+        """Run the function of a thread, then close the queues in `after`; a failure stops the stream."""
         try:
             step()
         except BaseException as error:
@@ -287,7 +287,7 @@ class Player:
                 close_within(_HANGING, source)
 
     def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
-        """Close the source after an error and wait before it is opened again, longer at each attempt."""
+        """Close the source after an error, and wait before it is opened again, longer at each attempt."""
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
@@ -345,18 +345,18 @@ class Player:
             return (self._order.begin(), work) if self._hand_on(passed) else None
 
     def _close_outcomes(self) -> None:
-        """Close the queue of outcomes when the last computing thread has ended."""
+        """Close the queue of outcomes once the last computing thread has ended."""
         with self._beginning:
             self._computing -= 1
             if not self._computing:
                 self._outcomes.close()
 
     def _end(self, work: Work) -> bool:
-        """Finish a computed frame; return False if the stream has failed."""
+        """Finish a computed frame and pass on its outcome; return False if the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
     def _hand_on(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Pass on final outcomes and events; return False if the stream has failed."""
+        """Put final outcomes and events into the queue; return False if the stream has failed."""
         return all(self._outcomes.put(one) for one in passed)
 
     # Measure: outcomes -> records.
@@ -373,7 +373,7 @@ class Player:
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _recorded(self, outcome: FrameOutcome) -> bool:
-        """Pass on the record of a frame; return False if the stream has failed."""
+        """Compute the results of a frame and pass on its record; return False if the stream has failed."""
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)

@@ -1,4 +1,4 @@
-"""Settings of a stream, read from a scene file with the keys and rules of `schema`, as for `fingerflow process`."""
+"""Experiment settings of a stream, read from a scene file with the rules of `schema`, as `fingerflow process` does."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class StreamScene:
 
     @property
     def given_threshold(self) -> float | None:
-        """Return the threshold; None if it is to be measured."""
+        """Return the contact threshold that the scene file gives; None if it is to be measured."""
         return None if isinstance(self.threshold, str) else self.threshold
 
 
 def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
-    """Return the settings of the tracker of a stream from a scene and a bundle."""
+    """Combine a scene and a bundle to the settings of the tracker of a stream."""
     region = np.zeros((bundle.height, bundle.width), dtype=bool)
     if scene.drawn is not None:
         for row, first, end in region_runs(scene.drawn, *region.shape):
@@ -78,7 +78,10 @@ _DECIDED_BY_RECIPES = ("contact", "tracking", "fields")
 
 
 def load_scene(path: Path) -> StreamScene:
-    """Return the settings of a scene file; raise PlayerError with file, line, key, value and remedy."""
+    """Read the experiment settings of a stream from a scene file.
+
+    Raise PlayerError with file, line, key, value and remedy.
+    """
     try:
         checked = read_scene(path, "stream")
     except SceneError as error:
@@ -121,7 +124,7 @@ def load_scene(path: Path) -> StreamScene:
 
 
 def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
-    """Check the regions of the views; raise PlayerError for one that a stream does not support."""
+    """Raise PlayerError if a view has a region that a stream does not support."""
     if views["contact"].get("region") is not None:
         raise PlayerError(
             f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
@@ -136,7 +139,7 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
 
 
 def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
-    """Check that a bundle can play the scene of a file, or that of the synthetic source.
+    """Check that a bundle can play the scene of a file, or, without a path, that of the synthetic source.
 
     Raises PlayerError where the views do not have the bundle's size, or where a stream does not support the requested
     threshold or reference.
@@ -172,7 +175,7 @@ _PLAYED = {  # fixed in a stream, because later frames are unknown or graphs are
 
 
 def contradictions(scene: StreamScene, recipe: Mapping[str, Any]) -> list[str]:
-    """Return one sentence for each setting of the scene that differs from that of the recipe."""
+    """Return one sentence for each setting that differs between the scene file and the recipe."""
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
     return [
         f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"

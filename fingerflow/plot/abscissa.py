@@ -20,7 +20,7 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True)
 class Abscissa:
-    """Horizontal axis: name of its variable, values (F,) and label."""
+    """Horizontal axis of curves: name of its variable, values (F,) in F frames, and label."""
 
     name: str
     values: NDArray[np.float64]
@@ -28,7 +28,7 @@ class Abscissa:
 
 
 def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
-    """Return the horizontal axis of curves.
+    """Return the horizontal axis for curves of a result.
 
     Args:
         result: a data set with `time`.
@@ -62,10 +62,10 @@ def varies(result: xr.Dataset, force: str) -> bool:
     return span > max(_LEAST_CHANGE * float(np.abs(known).max()), _ABOVE_NOISE * _noise(result, force))
 
 
-def is_monotonic(result: xr.Dataset, force: str = "normal_force") -> bool:
-    """Return whether a varying force only rises or only falls, apart from 3 % of its range or three times its noise."""
-    known = _smoothed(result, force)
-    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, force))
+def is_monotonic(result: xr.Dataset) -> bool:
+    """Return whether a varying normal force only rises or falls, apart from 3 % of its range or 3 times its noise."""
+    known = _smoothed(result, "normal_force")
+    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, "normal_force"))
     falls = float((np.maximum.accumulate(known) - known).max())
     rises = float((known - np.minimum.accumulate(known)).max())
     return min(falls, rises) <= least
@@ -78,7 +78,7 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Return the standard deviation of a sample, from second differences, which a steady rise does not affect."""
+    """Return the noise (standard deviation) of a force, by second differences, which a steady rise does not affect."""
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

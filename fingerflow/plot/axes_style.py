@@ -13,7 +13,7 @@ def given_or_new(axes: Axes | None, width: float = 4.6, height: float = 3.3) -> 
 
 
 def finished(axes: Axes) -> Axes:
-    """Return the axes with a light grid, and with a legend if any line has a name."""
+    """Add a light grid to axes, and a legend if any line has a name; return the axes."""
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize="small")

@@ -1,4 +1,4 @@
-"""Curves of a result, each drawn into one axes: areas, deformation, energy, forces, quality."""
+"""Curves of a result against time or force: areas, deformation, energy, forces, tracking quality."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,7 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """Curve with its name in the legend, values (F,) and standard deviations (F,) or None, as they are shown."""
+    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the shown unit."""
 
     name: str
     values: Values
@@ -105,7 +105,7 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the tangential over the normal force, by default against time; arguments as for `contact_area`."""
+    """Draw the ratio of tangential to normal force, by default against time; arguments as for `contact_area`."""
     return _alone(result, axes, against, "load_ratio", "Friction ratio")
 
 
@@ -134,7 +134,7 @@ def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the median forward-backward distance, by default against time; arguments as for `contact_area`.
+    """Draw the median forward-backward error, by default against time; arguments as for `contact_area`.
 
     The frame in which points are seeded is compared with itself and left out.
     """
@@ -146,7 +146,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the standard deviation of a position: median and 0.9 quantile over the points.
+    """Draw the standard deviation of tracked positions: its median and 0.9 quantile over the points.
 
     By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.
@@ -164,7 +164,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Raise FingerflowError if a result lacks any of these variables."""
+    """Check that a result has all of these variables; raise FingerflowError otherwise."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -172,7 +172,7 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
-    """Return a variable, or a component of it, in the unit in which it is shown."""
+    """Return a variable of a result, or one component, as a curve in the unit in which it is shown."""
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -189,7 +189,7 @@ def _from_zero(axes: Axes) -> Axes:
 
 
 def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw one variable."""
+    """Draw a figure with the curve of one variable."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 
@@ -197,7 +197,7 @@ def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str
 def _draw(
     result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
 ) -> Axes:
-    """Draw curves with bands of BAND standard deviations."""
+    """Draw several curves into one axes, with bands of BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread), colour in zip(curves, (INK, RED, YELLOW, GREEN, GREY), strict=False):
@@ -221,7 +221,7 @@ def _draw(
 
 
 def _whole(x: Values) -> tuple[float, float]:
-    """Return limits that show every frame, even those without a value."""
+    """Return limits of the time or force axis that include every frame, even frames without a value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

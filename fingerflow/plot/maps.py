@@ -19,8 +19,7 @@ from fingerflow.schema.variables import VARIABLES
 Values = NDArray[np.float64]
 _SHOWN = 0.98  # quantile of the values that limits a colour scale,
 _OF_MEDIAN = 3.0  # at most this times their median, as torn triangles may be more than 2 %
-_ARROWS = 220  # most arrows drawn
-_DIRECTIONS = 260
+_ARROWS, _DIRECTIONS = 220, 260  # about so many are drawn
 _MARGIN_MM = 0.3
 
 
@@ -31,33 +30,34 @@ class Quantity:
     Attributes:
         title: of the map.
         variable: from which it is computed; it states the unit.
-        compute: function from a frame to the values in the unit of the data set.
-        of_triangles: values are those of triangles, else of points.
+        compute: function from a frame to the values in the unit of the data set; None for the variable itself.
         signed: the colour scale is symmetric about 0.
     """
 
     title: str
     variable: str
-    compute: Callable[[xr.Dataset], Values]
-    of_triangles: bool
-    signed: bool
+    compute: Callable[[xr.Dataset], Values] | None = None
+    signed: bool = True
+
+    @property
+    def of_triangles(self) -> bool:
+        """Return whether values are those of triangles, else of points."""
+        return "triangle" in VARIABLES[self.variable].dims
 
     @property
     def unit(self) -> str:
-        """Return the unit of the map."""
+        """Return the unit in which the map shows the quantity."""
         return VARIABLES[self.variable].shown_unit.name
 
     def values(self, frame: xr.Dataset) -> Values:
-        """Return the values of a frame in the unit of the map."""
-        return np.asarray(VARIABLES[self.variable].shown_values(self.compute(frame)), dtype=np.float64)
-
-
-def _component(k: int) -> Callable[[xr.Dataset], Values]:
-    return lambda frame: frame["strain"].values[:, k].astype(np.float64)
+        """Return the values of the quantity in one frame, in the unit of the map."""
+        values = frame[self.variable].values if self.compute is None else self.compute(frame)
+        return np.asarray(VARIABLES[self.variable].shown_values(values), dtype=np.float64)
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return principal strains (M, 2), major first, and the direction (M,) of the major one from x towards y (rad).
+    """Return principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major one from x
+    towards y (rad).
 
     They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
     """
@@ -68,32 +68,24 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
 
 #: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
-    "divergence": Quantity("Divergence", "divergence", lambda frame: frame["divergence"].values, False, True),
-    "curl": Quantity("Curl", "curl", lambda frame: frame["curl"].values, False, True),
+    "divergence": Quantity("Divergence", "divergence"),
+    "curl": Quantity("Curl", "curl"),
     "displacement": Quantity(
-        "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False,
-        False,
+        "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False
     ),
-    "strain_energy_density": Quantity(
-        "Strain energy density", "strain_energy_density", lambda frame: frame["strain_energy_density"].values, True,
-        False,
-    ),
-    "major_strain": Quantity(
-        "Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0], True, True
-    ),
-    "minor_strain": Quantity(
-        "Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1], True, True
-    ),
-    "exx": Quantity("Strain exx", "strain", _component(0), True, True),
-    "eyy": Quantity("Strain eyy", "strain", _component(1), True, True),
-    "exy": Quantity("Strain exy", "strain", _component(2), True, True),
-}  # fmt: skip
+    "strain_energy_density": Quantity("Strain energy density", "strain_energy_density", signed=False),
+    "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
+    "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
+    "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),
+    "eyy": Quantity("Strain eyy", "strain", lambda frame: frame["strain"].values[:, 1].astype(np.float64)),
+    "exy": Quantity("Strain exy", "strain", lambda frame: frame["strain"].values[:, 2].astype(np.float64)),
+}
 
 
 def field_map(
     result: xr.Dataset, quantity: str, frame: int, axes: Axes | None = None, limit: float | None = None
 ) -> Axes:
-    """Draw a map of one frame on the glass (mm, y down), coloured by a quantity, with the outline of the contact.
+    """Draw a map of one quantity in one frame on the glass (mm, y down), with the outline of the contact.
 
     Divergence, curl and displacement are quantities of the points: a triangle has the mean of its corners. The others
     are quantities of the triangles. The map of displacement has arrows, magnified as its title states; maps of
@@ -160,7 +152,7 @@ def field_map(
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """Return the limit of the colour scale, in the unit of the map.
+    """Return a common limit of the colour scale for maps of several frames, in the unit of the map.
 
     It is the largest over these frames of the 0.98 quantile of the absolute values, at most three times their median; 1
     if all are 0.
@@ -217,7 +209,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Draw lines of equal length along a principal strain, at the centres of some triangles."""
+    """Draw short lines along a principal strain direction at the centres of some triangles, all of equal length."""
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
@@ -229,7 +221,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` places: in each square cell of a grid the one nearest to its middle."""
+    """Return indices of about `most` positions, evenly spread: the one nearest to the centre of each grid cell."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
@@ -242,7 +234,7 @@ def _spread(places: Values, most: int) -> NDArray[np.intp]:
 
 
 def _frame(axes: Axes, places: Values | None) -> None:
-    """Set limits around places, with y down."""
+    """Set the axis limits of a map around positions, with y pointing down."""
     if places is not None:
         low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))

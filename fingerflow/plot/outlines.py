@@ -1,5 +1,6 @@
-"""Outlines of contact and stick region of one frame, in mm on the glass."""
+"""Outlines of contact and stick region of one frame, in mm on the glass, and their places in a view."""
 
+import json
 import math
 
 import cv2
@@ -7,25 +8,42 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+Values = NDArray[np.float64]
 _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 
-def contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
-    """Return the ellipse of the gross contact (K, 2), or None without contact."""
+def contact_outline(frame: xr.Dataset) -> Values | None:
+    """Return points (K, 2) on the ellipse of the gross contact, mm; None without contact."""
     known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
     if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None
     along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
     cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
-    outline: NDArray[np.float64] = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
-    result: NDArray[np.float64] = outline + np.asarray(frame["ellipse_center"])
-    return result
+    outline = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
+    return np.asarray(outline + np.asarray(frame["ellipse_center"]))
 
 
-def stuck_outline(region: NDArray[np.integer], cell_mm: float, first_cell_mm: float) -> NDArray[np.float64] | None:
-    """Return the longest outline (K, 2) of the stick region's cells, through their centres; None without any."""
+def stuck_outline(frame: xr.Dataset) -> Values | None:
+    """Return the longest outline (K, 2) of the cells of the stick region, through their centres; None without any."""
+    if "stuck_region" not in frame:
+        return None
+    region = frame["stuck_region"]
     contours, _ = cv2.findContours(np.asarray(region, dtype=np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return None
     longest = max(contours, key=len)[:, 0]
-    return np.asarray(longest * cell_mm + first_cell_mm, dtype=np.float64)
+    return np.asarray(longest * region.attrs["cell_mm"] + region.attrs["first_cell_mm"], dtype=np.float64)
+
+
+def matrix_of_view(result: xr.Dataset, view: str) -> Values:
+    """Return the affine map (2, 3) from mm on the glass to px of a view."""
+    matrix = np.diag([1 / float(result.attrs["mm_per_px"])] * 2 + [1.0])
+    if view == "topography":
+        onto = np.vstack((np.array(json.loads(result.attrs["topography_to_contact"])), (0, 0, 1)))
+        matrix = np.linalg.inv(onto) @ matrix
+    return matrix[:2]
+
+
+def in_pixels(millimetres: Values, matrix: Values) -> Values:
+    """Return places (N, 2) on the glass in px of a view."""
+    return np.asarray(millimetres @ matrix[:, :2].T + matrix[:, 2])

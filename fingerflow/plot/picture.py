@@ -1,7 +1,4 @@
-"""Picture of a frame with its results: mask of the real contact, ellipse, points, scale bar."""
-
-import json
-from collections.abc import Callable
+"""Image of a frame with results drawn over it: real contact, ellipse, points, scale bar."""
 
 import numpy as np
 import torch
@@ -15,13 +12,12 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph, LightGraph
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
-from fingerflow.plot.outlines import contact_outline, stuck_outline
+from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
 from fingerflow.plot.wording import followed
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
 
-Values = NDArray[np.float64]
 MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"
 _BAR_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _BAR_SHARE = 0.25  # largest share of the width that a scale bar takes
@@ -30,14 +26,14 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, each picture once."""
+    """Return the names of a scene's views; of names for the same rectangle, only one."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
 
 
 def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
-    """Draw a view of a frame with micro-junctions, the ellipse of the gross contact, points and a scale bar.
+    """Draw one view of a frame with real contact, ellipse of the gross contact, points and a scale bar.
 
     Args:
         result: returned by `fingerflow.process` for this scene.
@@ -74,20 +70,14 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
         shown[mask] = (1 - _MASK_SHARE) * shown[mask] + _MASK_SHARE * np.array(to_rgb(MASK))
         axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
     axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
-    matrix = np.array([[1.0, 0, 0], [0, 1.0, 0]])
-    if name == "topography":
-        onto = np.vstack((np.array(json.loads(result.attrs["topography_to_contact"])), (0, 0, 1)))
-        matrix = np.linalg.inv(onto)[:2]
-    size = float(result.attrs["mm_per_px"])
-
-    def pixels(millimetres: Values) -> Values:
-        found: Values = millimetres / size @ matrix[:, :2].T + matrix[:, 2]
-        return found
-
-    one = result.isel(frame=frame)
-    _outlines(axes, one, pixels)
-    _points(axes, result, frame, pixels, followed(result))
-    _scale_bar(axes, size / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
+    one, matrix = result.isel(frame=frame), matrix_of_view(result, name)
+    outlines = ((contact_outline(one), YELLOW, "gross contact"), (stuck_outline(one), STUCK, "stuck part"))
+    for outline, colour, label in outlines:
+        if outline is not None:
+            places = in_pixels(np.append(outline, outline[:1], 0), matrix)
+            axes.plot(*places.T, color=colour, linewidth=1.4, label=label)
+    _points(axes, result, frame, matrix)
+    _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(f"{name.capitalize()} view, {said(one)}", fontsize="medium")
     if axes.get_legend_handles_labels()[0]:
@@ -99,21 +89,11 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def said(frame: xr.Dataset) -> str:
-    """Return frame, time and force as text."""
+    """Return a text with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")
     return ", ".join(words)
-
-
-def real_contact(result: xr.Dataset, scene: Scene, frame: int) -> NDArray[np.bool_] | None:
-    """Return the real-contact mask (H, W) of the contact view, recomputed with the threshold in the result.
-
-    Return None without a threshold or an empty-glass background, and for a soft sensor, which has no micro-junctions.
-    """
-    inputs = open_inputs(scene, "cpu")
-    with inputs.recording:
-        return _mask(result, inputs, frame, inputs.recording[[frame]].read())
 
 
 def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:
@@ -133,7 +113,7 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    """Raise FingerflowError if a result was computed from another recording than the scene's."""
+    """Check that a result was computed from this recording; raise FingerflowError for another one."""
     known = result.attrs.get("recording")  # missing in results of older versions
     settings = scene.recording
     end = len(recording) if settings.last_frame is None else settings.last_frame + 1
@@ -145,20 +125,11 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
         )
 
 
-def _outlines(axes: Axes, frame: xr.Dataset, pixels: Callable[[Values], Values]) -> None:
-    ellipse, stuck = contact_outline(frame), None
-    if "stuck_region" in frame:
-        region = frame["stuck_region"]
-        stuck = stuck_outline(region.values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
-    for outline, colour, name in ((ellipse, YELLOW, "gross contact"), (stuck, STUCK, "stuck part")):
-        if outline is not None:
-            axes.plot(*pixels(np.append(outline, outline[:1], 0)).T, color=colour, linewidth=1.4, label=name)
-
-
-def _points(axes: Axes, result: xr.Dataset, frame: int, pixels: Callable[[Values], Values], name: str) -> None:
-    """Draw the current positions of points, and the first positions of lost ones."""
+def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
+    """Draw the positions of points in a frame, and for lost points their positions in the first frame."""
     if "position" not in result:
         return
+    name = followed(result)
     now = result["position"].values[frame]
     known = np.isfinite(now).all(-1)
     first = result["position"].values[0]
@@ -169,9 +140,13 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, pixels: Callable[[Values
         (known & ~touched, AWAY, f"{name} not in contact"),
     ):
         if shown.any():
-            axes.plot(*pixels(now[shown]).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of)
+            axes.plot(
+                *in_pixels(now[shown], matrix).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of
+            )
     if lost.any():
-        axes.plot(*pixels(first[lost]).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label=f"{name} lost")
+        axes.plot(
+            *in_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label=f"{name} lost"
+        )
 
 
 def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:

@@ -1,4 +1,4 @@
-"""Words for the subject of a result: skin and its points, or a gel and its markers."""
+"""Words in figures for the tracked object of a result: skin and its points, or a gel and its markers."""
 
 import json
 
@@ -6,11 +6,11 @@ import xarray as xr
 
 
 def is_sensor(result: xr.Dataset) -> bool:
-    """Return whether the result is of a soft sensor, whose markers were followed."""
+    """Return whether a result is of a soft sensor, whose markers were tracked."""
     kind: str = json.loads(result.attrs.get("settings", "{}")).get("kind", "press")
     return kind == "soft_sensor"
 
 
 def followed(result: xr.Dataset) -> str:
-    """Return what was followed: "markers" or "points"."""
+    """Return the word for the tracked objects of a result: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"

@@ -1,4 +1,4 @@
-"""Readers of frames and forces, one module a file format, behind `open_recording` and `open_forces`.
+"""Readers of recordings and force files, one module per format, behind `open_recording` and `open_forces`.
 
 Names are loaded on first use: code that reads only frames needs no library for forces, such as SciPy.
 """

@@ -1,4 +1,4 @@
-"""Short digests that identify content."""
+"""Short digests that identify content of files and settings."""
 
 import hashlib
 import json
@@ -12,7 +12,7 @@ def digest_of(*parts: Any) -> str:
 
 
 def digest_of_bytes(parts: Iterable[bytes | memoryview]) -> str:
-    """Return a digest of 16 hexadecimal digits (SHA-256) of bytes, one part after another."""
+    """Return a SHA-256 digest (16 hexadecimal digits) of a sequence of bytes objects."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)

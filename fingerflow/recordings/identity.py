@@ -1,4 +1,4 @@
-"""Identity of a recording, different for another recording of the same length and size."""
+"""Text that identifies a recording, and differs for another recording of the same length and image size."""
 
 import numpy as np
 

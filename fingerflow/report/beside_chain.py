@@ -1,4 +1,4 @@
-"""Comparison of a measured press with the skin chain under the same force: contact area and divergence."""
+"""Comparison of a measured press with the simulated skin chain under the same force: contact area and divergence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ _COLOURS = (RED, GREEN, YELLOW, GREY)
 
 @dataclass(frozen=True)
 class BesideChain:
-    """Measured press and skin chain: T frames with a known force, predictions (K, T) for K frictions.
+    """Measured press at T known forces, beside predictions (K, T) of the skin chain for K friction coefficients.
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
@@ -46,7 +46,7 @@ class BesideChain:
     parameters: str
 
     def notes(self) -> list[str]:
-        """Return sentences on what was assumed and what was fitted."""
+        """Return sentences about assumptions and fitted parameters of the comparison."""
         assert self.fit.tissue_interval is not None
         low, high = self.fit.tissue_interval
         given = PARAMETERS[self.parameters]
@@ -64,7 +64,8 @@ class BesideChain:
 
 
 def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
-    """Press chains at several frictions with the force of a trial, their tissue stiffness fitted to its contact area.
+    """Simulate the skin chain under a trial's force at several frictions; tissue stiffness is fitted to the contact
+    area.
 
     Raises:
         FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a
@@ -130,7 +131,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
 
 
 def draw(beside: BesideChain) -> Figure:
-    """Draw area, median divergence and inner mean divergence against force, measured and of the chain."""
+    """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
     figure = Figure(figsize=(10, 3.9), layout="constrained")
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
@@ -148,7 +149,7 @@ def draw(beside: BesideChain) -> Figure:
 
 
 def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:
-    """Fit the tissue stiffness to areas at evenly spaced forces up to the largest one."""
+    """Fit the tissue stiffness of the chain to contact areas at evenly spaced forces up to the largest one."""
     top = int(np.flatnonzero(large)[np.argmax(force[large])])
     rising = large & (np.arange(len(force)) <= top) & (force > 0.02 * force[top])
     at = np.unique(np.searchsorted(np.maximum.accumulate(np.where(rising, force, 0.0)),

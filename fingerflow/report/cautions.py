@@ -1,4 +1,4 @@
-"""Cautions: what limits the use of a result, in sentences for the report."""
+"""Cautions for the reader of a report: sentences on what limits the use of a result."""
 
 import json
 
@@ -63,7 +63,7 @@ def _of_points(result: xr.Dataset) -> list[str]:
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
-    """Return a caution if too many strains exceed those of skin.
+    """Return a caution if too many strains exceed what skin can bear.
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """
@@ -89,7 +89,7 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
 
 def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Return reasons why points have no position in the last usable frame, with counts, the most frequent first."""
+    """Return counts of points without a position in the last usable frame, by reason, the most frequent first."""
     if "status" not in result or not result["status"].size:
         return []
     status = result["status"]

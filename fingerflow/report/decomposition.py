@@ -17,7 +17,7 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Decomposition of the displacement of P points into `parts`, named by PARTS; NaN where unknown.
+    """Decomposition of a displacement field of P points into `parts`, named by PARTS; NaN where unknown.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
@@ -32,7 +32,8 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose the least-squares linear field about the centre of the points into its parts, and the rest.
+    """Decompose a displacement field into the parts of its least-squares linear fit about the centre of the points, and
+    the rest.
 
     Args:
         points: (P, 2) mm, reference positions x and y.
@@ -72,6 +73,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         one = VARIABLES[variable]
         return f"{one.shown_values(value):z.{one.shown_unit.decimals}f} {one.shown_unit.name}"
 
+    rest = float(np.nanmedian(np.linalg.norm(found.parts["rest"], axis=1)))
     amounts = {
         "field": "",
         "constant": amount("displacement", float(np.hypot(*found.constant))),
@@ -79,7 +81,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         "curl": amount("curl", found.curl),
         "shear along axes": amount("shear", found.shear[0]),
         "shear along diagonals": amount("shear", found.shear[1]),
-        "rest": f"{amount('displacement', _middle_length(found.parts['rest']))} in the median",
+        "rest": f"{amount('displacement', rest)} in the median",
     }
     scale = _arrow_scale(found)
     grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
@@ -106,12 +108,8 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return the factor, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
+    """Return the arrow scale, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))
     return float(f"{wide / 6 / long:.1g}") if long > 0 else 1.0
-
-
-def _middle_length(arrows: Values) -> float:
-    return float(np.nanmedian(np.linalg.norm(arrows, axis=1)))

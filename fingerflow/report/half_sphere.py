@@ -8,11 +8,12 @@ from fingerflow.models.hemisphere import arc_length, contact_radius, radial_stra
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
 
 RADIUS_MM = 10.0  # of "10 % at 3 mm"
-DEEPEST_MM = 4.0
+DEPTH_MM, DEEPEST_MM = 3.0, 4.0
 
 
-def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) -> Axes:
-    """Draw figure S4 A: the fingertip pressed by ``delta`` into the glass, the arc 2 L and the contact 2 a (mm)."""
+def draw_half_sphere(axes: Axes) -> Axes:
+    """Draw figure S4 A: the fingertip pressed by 3 mm into the glass, the arc 2 L and the contact 2 a (mm)."""
+    delta, radius = DEPTH_MM, RADIUS_MM
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY, linewidth=1)
     axes.axhline(0, color=INK, linewidth=1)
@@ -30,20 +31,20 @@ def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) 
     return axes
 
 
-def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Draw figure S4 B: L and a (mm) against the normal indentation (mm)."""
-    delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
-    axes.plot(delta, arc_length(delta, radius), color=RED, label="L, arc of the skin")
-    axes.plot(delta, contact_radius(delta, radius), color=INK, label="a, contact")
-    axes.set(xlabel="normal indentation δ (mm)", ylabel="length (mm)", title=f"R = {radius:g} mm")
+def draw_lengths(axes: Axes) -> Axes:
+    """Draw figure S4 B: arc length L and contact radius a (mm) against the normal indentation (mm)."""
+    delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
+    axes.plot(delta, arc_length(delta, RADIUS_MM), color=RED, label="L, arc of the skin")
+    axes.plot(delta, contact_radius(delta, RADIUS_MM), color=INK, label="a, contact")
+    axes.set(xlabel="normal indentation δ (mm)", ylabel="length (mm)", title=f"R = {RADIUS_MM:g} mm")
     return finished(axes)
 
 
-def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
+def draw_radial_strain(axes: Axes) -> Axes:
     """Draw figure S4 C: compression of sticking skin (%) against the indentation (mm), with 3 mm marked."""
-    delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
-    axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
-    at_three = 100 * float(radial_strain(3.0, radius))
-    axes.plot(3.0, at_three, "o", color=RED, label=f"{at_three:.1f} % at 3 mm")
+    delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
+    axes.plot(delta, 100 * radial_strain(delta, RADIUS_MM), color=INK)
+    at_three = 100 * float(radial_strain(DEPTH_MM, RADIUS_MM))
+    axes.plot(DEPTH_MM, at_three, "o", color=RED, label=f"{at_three:.1f} % at 3 mm")
     axes.set(xlabel="normal indentation δ (mm)", ylabel="(L - a) / L (%)")
     return finished(axes)

@@ -1,4 +1,4 @@
-"""Inline SVG of a matplotlib figure for a page, and its curves as numbers for the page's cursor."""
+"""Inline SVG of a matplotlib figure for an HTML page, and the values of its curves for the page's cursor."""
 
 import base64
 import io
@@ -10,7 +10,6 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
@@ -18,8 +17,6 @@ _NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _RASTER_DPI = 170  # of rasterized maps
 _WIDER = 1.5  # largest magnification of a figure over its printed size
 _DIGITS = 5
-_PAD = 0.06  # inches around the labels
-_BAR, _BAR_HEIGHT = 0.025, 0.8  # width of a colour bar as a share of the figure, its height of the axes
 FONT = "DejaVu Sans"  #: comes with matplotlib; a single one, as each font of a list is searched for at each text
 _LARGE, _QUALITY = 100_000, 88  # bytes above which a picture becomes JPEG; JPEG quality
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
@@ -38,8 +35,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     layout = figure.get_layout_engine()
     if layout is not None:
         # Run the layout once, instead of each time matplotlib draws.
-        if not _laid_out(figure):
-            layout.execute(figure)
+        layout.execute(figure)
         figure.set_layout_engine("none")
     data = io.StringIO()
     figure.set_dpi(_RASTER_DPI)
@@ -59,40 +55,8 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
 
 
-def _laid_out(figure: Figure) -> bool:
-    """Place one axes, with an optional colour bar on its right, so that labels fit; return False for other figures.
-
-    Labels are measured once. Constrained layout measures them four times, which takes as long as drawing the figure.
-    """
-    axes, *bars = figure.axes
-    if len(bars) > 1:
-        return False
-    axes.set_title(axes.get_title(), y=1.0)  # otherwise matplotlib avoids ticks at every draw
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    width, height = figure.bbox.width, figure.bbox.height
-    around = []
-    for one in figure.axes:
-        one.apply_aspect()
-        inner, outer = one.get_window_extent(renderer), one.get_tightbbox(renderer)
-        assert outer is not None
-        around.append((inner.x0 - outer.x0, outer.x1 - inner.x1, inner.y0 - outer.y0, outer.y1 - inner.y1))
-    pad = _PAD * figure.dpi
-    left, right, bottom, top = around[0]
-    bottom, top = bottom + pad, height - top - pad
-    end = width - pad
-    if bars:
-        end -= around[1][1] + _BAR * width
-        tall = _BAR_HEIGHT * (top - bottom)
-        bars[0].set_position((end / width, ((top + bottom - tall) / 2) / height, _BAR, tall / height))
-        end -= pad + around[1][0]
-    axes.set_position(
-        ((left + pad) / width, bottom / height, (end - max(right, 0) - left - pad) / width, (top - bottom) / height)
-    )
-    return True
-
-
 def _smaller(found: re.Match[str]) -> str:
-    """Return a large opaque picture as JPEG, a fifth of its size; others unchanged."""
+    """Return a large opaque image as JPEG, a fifth of its size; other images are returned unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -102,7 +66,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the named curves of `count` frames for the page's cursor, and their box in the figure.
+    """Return values of the named curves in axes for the page's cursor, and the position of the axes in the figure.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.
@@ -132,5 +96,5 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
 
 
 def _short(value: float) -> float | None:
-    """Return a value to five digits, or None (JSON null) if it is not finite."""
+    """Return a number rounded to five digits for JSON; None (null) if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Key numbers of a trial: main quantities at its key frames, with their uncertainty."""
+"""Table of a trial's main quantities at its key frames, with their uncertainty."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _QUANTITIES = (
 
 @dataclass(frozen=True)
 class Line:
-    """Row of the table: a quantity with its unit, and its value at each key frame as text; NaN is an en dash."""
+    """Row of the table: quantity, unit, and value at each key frame as text, an en dash for NaN."""
 
     name: str
     unit: str
@@ -38,7 +38,7 @@ class Line:
 
 
 def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
-    """Return forces, areas, divergence, curl, displacement and energy at these frames, ± one standard deviation.
+    """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
     energy `border_energy`. For areas it is the scatter from frame to frame (`scatter`).
@@ -63,7 +63,8 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the standard deviation (F,) from a parabola fitted to the 11 frames around; NaN if any is unknown.
+    """Return the scatter (F,) of a series: standard deviation from a parabola fitted to 11 frames around each; NaN if
+    any is unknown.
 
     It measures how well a frame repeats its neighbours, not an error that they have in common.
     """

@@ -22,19 +22,16 @@ _HELD = 20  # frames for which the last picture is repeated
 
 
 def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
-    """Write an MP4 with one picture for each time of the presses; raise FingerflowError if it cannot be written."""
+    """Write an MP4 with one image per time of the simulated presses; raise FingerflowError if it cannot be written."""
     write_atomically(path, lambda part: encode_video(_with_progress(presses, progress), part))
     return path
 
 
 def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArray[np.uint8]]:
-    bar = tqdm(total=len(presses.time), desc="movie M3", unit="frame", disable=not progress, leave=False)
-    with bar:
-        for picture in movie_pictures(presses):
-            yield picture
-            bar.update()
-    for _ in range(_HELD):
+    shown = {"total": len(presses.time), "desc": "movie M3", "unit": "frame", "disable": not progress, "leave": False}
+    for picture in tqdm(movie_pictures(presses), **shown):
         yield picture
+    yield from [picture] * _HELD
 
 
 def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:

@@ -1,23 +1,14 @@
-"""Figures S11 to S13 of Willemet et al. 2021, drawn into given axes: ideal observer, groups, curl."""
+"""Figures S11 and S12 of Willemet et al. 2021, drawn into given axes: ideal observer and groups."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from fingerflow.models.observer import (
-    Correlation,
-    Estimate,
-    Groups,
-    PrintedObserver,
-    PsychometricFit,
-)
+from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, finished
-from fingerflow.schema.variables import VARIABLES
-
-_DIVERGENCE, _CURL = VARIABLES["median_divergence"], VARIABLES["median_curl"]
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
@@ -106,29 +97,4 @@ def draw_psychometric(
             limits = np.clip(fit.interval, *axes.get_xlim())
             axes.plot(limits, [fit.share, fit.share], color=colour, linewidth=3, alpha=0.4)
     axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
-    return finished(axes)
-
-
-def draw_median_curl(axes: Axes, force: Sequence[ArrayLike], curl: Sequence[ArrayLike]) -> Axes:
-    """Draw figure S13 B: median curl (1) over the contact against the normal force (N), one line a trial."""
-    for newtons, values in zip(force, curl, strict=True):
-        axes.plot(newtons, _CURL.shown_values(np.asarray(values, dtype=float)), color=INK, alpha=0.5, linewidth=0.9)
-    axes.set(xlabel="normal force (N)", ylabel=_CURL.axis_label)
-    return finished(axes)
-
-
-def draw_curl_against_divergence(
-    axes: Axes, divergence: ArrayLike, curl: ArrayLike, participant: ArrayLike, correlation: Correlation
-) -> Axes:
-    """Draw figure S13 C: median curl against median divergence (1) of each trial, one colour a participant."""
-    x, y = _DIVERGENCE.shown_values(np.asarray(divergence, float)), _CURL.shown_values(np.asarray(curl, float))
-    who = np.asarray(participant)
-    names = np.unique(who)
-    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
-        axes.plot(x[who == name], y[who == name], ".", color=colour)
-    low, high = correlation.interval
-    axes.set(xlabel=_DIVERGENCE.axis_label, ylabel=_CURL.axis_label)
-    axes.set_title(
-        f"r = {correlation.value:.2f} ({low:.2f} to {high:.2f}), {correlation.trials} trials", fontsize="medium"
-    )
     return finished(axes)

@@ -1,4 +1,4 @@
-"""Overlay video: both views with contact, points and displacement."""
+"""Overlay video of a result: both views with contact, points and displacement."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ _ARROW_PX = 40  # drawn length of the largest displacements
 
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
-    """Write an MP4 of at most 300 frames, evenly spaced over the recording, with the scale of the arrows in it."""
+    """Write an overlay video (MP4) of at most 300 evenly spaced frames, with the scale of the arrows as text."""
     write_atomically(path, lambda part: encode_video(_pictures(result, scene), part))
     return path
 
@@ -48,7 +48,7 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
 
 
 def _arrow_scale(result: xr.Dataset) -> float:
-    """Return the factor, to one digit, that draws the 0.98 quantile of displacements as 40 px; 0 without any."""
+    """Return the scale of arrows, to one digit, at which the 0.98 quantile of displacement is 40 px; 0 without any."""
     if "displacement" not in result:
         return 0.0
     length = np.linalg.norm(result["displacement"].values, axis=-1)

@@ -3,7 +3,7 @@
 import base64
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure of the page: unique name, SVG, and its curves as numbers, or None."""
+    """Figure of the report page: unique name, SVG text, and values of its curves or None."""
 
     name: str
     svg: str
@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Figures shown together, and their layout: a class of page.css."""
+    """Group of figures that are shown together; `kind` is their layout, a class of page.css."""
 
     label: str
     figures: list[Drawn]
@@ -54,7 +54,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: a title and its panels, shown one at a time, beginning with index ``first``."""
+    """Section of the page: title, and panels of which one is shown at a time, at first that of index ``first``."""
 
     title: str
     panels: list[Panel]
@@ -62,16 +62,13 @@ class Section:
     first: int = 0
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Figures:
-    """Figures of a page, each with a unique name."""
+    """Figures of the page of a result."""
 
     result: xr.Dataset
-    names: set[str] = field(default_factory=set)
 
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
-        assert name not in self.names
-        self.names.add(name)
         figure = axes.get_figure(root=True)
         assert figure is not None
         # Before curves_of, as it settles the layout.
@@ -82,7 +79,7 @@ class _Figures:
         return Drawn(name, inline_svg(figure, name, label))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of curves against the default abscissa, or None if no variable is known.
+        """Return a section of curves against the default abscissa; None if none of the variables is known.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -93,15 +90,21 @@ class _Figures:
         axes = [first]
         if varies(self.result, "normal_force"):
             axes.append("time" if first == "normal_force" else "normal_force")
-        panels = []
-        for against in axes:
-            drawn = [one(self.result, against=against) for one, _ in there]
-            figures = [
-                self.drawn(on, f"{variable}-{against}", f"{on.get_title()} against {on.get_xlabel()}")
-                for on, (_, variable) in zip(drawn, there, strict=True)
-            ]
-            panels.append(Panel(f"against {plot.abscissa(self.result, against).label}", figures))
+        panels = [
+            Panel(f"against {plot.abscissa(self.result, against).label}", self.each(there, against=against))
+            for against in axes
+        ]
         return Section(title, panels, notes)
+
+    def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
+        """Draw curves with the same settings, each named by its variable and its abscissa."""
+        figures = []
+        for draw_one, variable in given:
+            on = draw_one(self.result, **settings)
+            figures.append(
+                self.drawn(on, "-".join((variable, *settings.values())), f"{on.get_title()} against {on.get_xlabel()}")
+            )
+        return figures
 
 
 def write_report(
@@ -113,7 +116,7 @@ def write_report(
     video: bool = True,
     overwrite: bool = False,
 ) -> Path:
-    """Write report.html and overlay.mp4 into a folder and return the path of the page.
+    """Write the report of a result, report.html and overlay.mp4, into a folder and return the path of the page.
 
     Sections without variables in the result are left out.
 
@@ -202,24 +205,15 @@ def _sections(
         ]
         sections.append(Section("What was seen", panels, first=max(most, 0)))
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
-    loads = [
-        make.drawn(on, f"{name}-load", f"{on.get_title()} against time")
-        for one, name in time_only
-        if name in result and (name == "normal_force" or varies(result, name))
-        for on in (one(result),)
-    ]
+    loads = [one for one in time_only if one[1] in result and (one[1] == "normal_force" or varies(result, one[1]))]
     if loads:
-        sections.append(Section("Loading", [Panel("", loads)]))
+        sections.append(Section("Loading", [Panel("", make.each(loads))]))
     sections.append(
         make.curves("Contact", [(plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")])
     )
     if "gross_slip" in result:
-        figures = [
-            make.drawn(on, name, on.get_title())
-            for one, name in ((plot.displacement, "contact_displacement"), (plot.slip_ratio, "slip_ratio"))
-            for on in (one(result),)
-        ]
-        sections.append(Section("Slip of what touches the gel", [Panel("", figures)]))
+        slips = make.each([(plot.displacement, "contact_displacement"), (plot.slip_ratio, "slip_ratio")])
+        sections.append(Section("Slip of what touches the gel", [Panel("", slips)]))
     deformation: list[tuple[Draw, str]] = [
         (plot.median_divergence, "median_divergence"),
         (plot.median_strain, "median_strain"),
@@ -235,7 +229,7 @@ def _sections(
         trial = SlipTrial.of(result, "Partial slip")
         slip = make.whole(trial_figure(trial), "partial-slip", verdict_line(trial))
         sections.append(Section(verdict_line(trial), [Panel("", [slip], "strip")]))
-    quality = [
+    quality: list[tuple[Draw, str]] = [
         (plot.tracked_share, "tracked_share"),
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),
@@ -243,8 +237,7 @@ def _sections(
     # A soft sensor's markers are found independently in each frame: it has no forward-backward distance.
     shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
-        figures = [make.drawn(on, name, on.get_title()) for one, name in shown for on in (one(result),)]
-        sections.append(Section("Quality", [Panel("", figures)]))
+        sections.append(Section("Quality", [Panel("", make.each(shown))]))
     if chain is not None:
         beside = make.whole(draw(chain), "beside-chain", "Measured beside the skin chain")
         sections.append(Section("Beside the skin chain", [Panel("", [beside], "strip")], chain.notes()))
@@ -283,7 +276,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map has a value in any of these frames."""
+    """Return whether a map of a quantity has a value in any of these frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -297,7 +290,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the picture that `fingerflow calibrate` wrote beside its file, in base64, or None."""
+    """Return the overlay image that `fingerflow calibrate` wrote beside its file, in base64, or None."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

@@ -1,4 +1,4 @@
-"""Figures as PNG files with a mark of fingerflow, by which a later run knows which files it may replace."""
+"""Writing of figures as PNG files with a mark of fingerflow, so that a later run may replace only these."""
 
 from pathlib import Path
 
@@ -10,5 +10,5 @@ _DPI = 110
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a PNG atomically; raise FingerflowError if it cannot be written."""
+    """Write a figure as PNG atomically; raise FingerflowError if it cannot be written."""
     write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=_DPI, metadata={"Comment": MARK}))

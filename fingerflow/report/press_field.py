@@ -1,4 +1,4 @@
-"""True displacement of the simulated press of `fingerflow demo`, for figures S6 and S13."""
+"""True displacement field of the simulated press of `fingerflow demo`, for figures S6 and S13."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
-from fingerflow.plot.axes_style import finished
+from fingerflow.plot.axes_style import INK, finished
 from fingerflow.schema.variables import VARIABLES
-from fingerflow.synthetic import Press, SyntheticScene
+from fingerflow.synthetic import SyntheticScene
 
-_CURL = VARIABLES["curl"]
+_CURL, _MEDIAN_CURL = VARIABLES["curl"], VARIABLES["median_curl"]
 Values = NDArray[np.float64]
 _SPACING_MM = 0.6  # between points
 _FRAMES = 24  # frames with a median curl
@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True field at P points in the contact of the last frame, and medians of F frames; NaN where there is none."""
+    """True displacement and curl at P points in the last frame's contact, median curl in F frames; NaN if none."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact
@@ -28,17 +28,11 @@ class PressField:
     median_curl: Values  # (F,) rad, over the area of the gross contact
 
 
-def press_field(scene: SyntheticScene | None = None) -> PressField:
-    """Return the true field of a scene that ends in contact, by default the press of `fingerflow demo`.
-
-    Raises:
-        ValueError: the last frame of the scene has no contact.
-    """
-    scene = Press() if scene is None else scene
+def press_field(scene: SyntheticScene) -> PressField:
+    """Return the true field of a scene that ends in contact."""
     truth, last = scene.truth, len(scene.times) - 1
     ellipse = truth.ellipse(last)
-    if ellipse is None:
-        raise ValueError("nothing touches in the last frame: give a scene that ends in contact")
+    assert ellipse is not None
     reach = max(ellipse.semi_axes)
     steps = np.arange(-np.ceil(reach / _SPACING_MM), np.ceil(reach / _SPACING_MM) + 1) * _SPACING_MM
     grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) + ellipse.centre
@@ -70,3 +64,10 @@ def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
     finished(axes)
     axes.invert_yaxis()
     return axes
+
+
+def draw_median_curl(axes: Axes, field: PressField) -> Axes:
+    """Draw figure S13 B: median curl over the contact against the normal force."""
+    axes.plot(field.force, _MEDIAN_CURL.shown_values(field.median_curl), color=INK, linewidth=0.9)
+    axes.set(xlabel="normal force (N)", ylabel=_MEDIAN_CURL.axis_label)
+    return finished(axes)

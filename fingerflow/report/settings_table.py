@@ -1,4 +1,4 @@
-"""Settings of a result as readable tables: without None and brackets, with units."""
+"""Settings of a result as tables for readers, with units and without unset keys."""
 
 import json
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from fingerflow.schema.scene_keys import REGION, SCENE, Choice, SceneKey, SceneT
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
-    """Return rows (name, value) by table from the attribute `settings` of a result; unset keys are left out."""
+    """Return rows (name, value) of each settings table from a result's attribute `settings`, without unset keys."""
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:
@@ -22,7 +22,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
 
 
 def transform_rows(stored: str) -> list[tuple[str, str]]:
-    """Return rows on the transform in the attribute `topography_to_contact`; none for the identity."""
+    """Return rows on magnification, rotation and shift of a result's `topography_to_contact`; none for the identity."""
     matrix = np.array(json.loads(stored), dtype=np.float64)
     if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
         return []

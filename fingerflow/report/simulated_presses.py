@@ -1,4 +1,4 @@
-"""Presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
+"""Simulated presses of the skin chain at several frictions, for figures S5, S8 and S9 of Willemet et al. 2021.
 
 The chain is a section through an axisymmetric finger: its strains are radial and hoop, and maps are rotated about
 the axis. Strains are relative to the undeformed finger, those of a recording to each point's onset of contact.
@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
-from torch import Tensor
 
 from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
+from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished
 
@@ -34,7 +34,7 @@ _RADII = 201
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Presses at K frictions with one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
+    """Simulated presses at K frictions under one force trace of T times; `chain` is (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -42,11 +42,11 @@ class SimulatedPresses:
     chain: PressedChain
 
     def index(self, friction: float) -> int:
-        """Return the index of the press with a friction."""
+        """Return the index of the press with a given friction coefficient."""
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return strains from the middle of each contact to its edge, interpolated between elements."""
+        """Return strains along each contact from its middle to its edge, interpolated between elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -68,7 +68,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from 0 to the edge; NaN without contact."""
+    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from middle to contact edge; NaN without contact."""
 
     radius: Values
     radial: Values  # du/dx
@@ -76,29 +76,25 @@ class Profile:
 
 
 def simulate_presses(
-    friction: Sequence[float] = FRICTIONS,
-    load_n: float = 3.0,
-    duration_s: float = 1.0,
-    times: int = _TIMES,
-    elements: int = _ELEMENTS,
+    friction: Sequence[float] = FRICTIONS, times: int = _TIMES, elements: int = _ELEMENTS
 ) -> SimulatedPresses:
-    """Press the chain of the default parameters with a force that rises linearly to ``load_n``, at each friction."""
-    time = torch.linspace(0, duration_s, times, dtype=torch.float64)
-    force = load_n * time / duration_s
-    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, elements=elements)
+    """Press a chain whose contact has the printed area with a force that rises to 3 N in a second, at each friction."""
+    time = torch.linspace(0, 1.0, times, dtype=torch.float64)
+    force = 3.0 * time
+    skin = PARAMETERS["fitted"]
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, parameters=skin, elements=elements)
     return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
 
 
-def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> NDArray[Any]:
+def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]:
     """Draw figures S8 B and D: exx, eyy and exy (%) over the contact at full load, one row a friction, in one scale."""
-    maps = [_turned(presses, friction) for friction in frictions]
-    largest = max(100 * float(np.nanmax(np.abs(strain))) for _, strain in maps)
-    axes: NDArray[Any] = part.subplots(len(frictions), 3, sharex=True, sharey=True, squeeze=False)
-    for row, (extent, strain), friction in zip(axes, maps, frictions, strict=True):
+    extents, strains = _turned(presses)
+    largest = 100 * float(np.nanmax(np.abs(strains)))
+    axes: NDArray[Any] = part.subplots(2, 3, sharex=True, sharey=True)
+    scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest, "interpolation": "nearest"}
+    for row, extent, strain, friction in zip(axes, extents, strains, (LOW, HIGH), strict=True):
         for one, values, name in zip(row, np.moveaxis(100 * strain, -1, 0), ("xx", "yy", "xy"), strict=True):
-            image = one.imshow(
-                values, extent=extent, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest"
-            )
+            image = one.imshow(values, extent=extent, **scale)
             one.set_title(rf"$\epsilon_{{{name}}}$, friction {friction:g}", fontsize="medium")
         row[0].set_ylabel("mm")
     for one in axes[-1]:
@@ -107,14 +103,14 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequ
     return axes
 
 
-def draw_energy_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> Sequence[Axes]:
+def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
     """Draw figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one colour scale."""
-    axes: Sequence[Axes] = part.subplots(1, len(frictions), sharey=True)
-    maps = [(_turned(presses, friction), friction) for friction in frictions]
-    densities = [strain_energy_density(torch.from_numpy(strain)).numpy() for (_, strain), _ in maps]
-    largest = max(float(np.nanmax(density)) for density in densities)
-    for one, density, ((extent, _), friction) in zip(axes, densities, maps, strict=True):
-        image = one.imshow(density, extent=extent, cmap="viridis", vmin=0, vmax=largest, interpolation="nearest")
+    axes: Sequence[Axes] = part.subplots(1, 2, sharey=True)
+    extents, strains = _turned(presses)
+    densities = strain_energy_density(torch.from_numpy(strains)).numpy()
+    scale = {"cmap": "viridis", "vmin": 0, "vmax": np.nanmax(densities), "interpolation": "nearest"}
+    for one, extent, density, friction in zip(axes, extents, densities, (LOW, HIGH), strict=True):
+        image = one.imshow(density, extent=extent, **scale)
         one.set(title=f"friction {friction:g}", xlabel="mm")
     axes[0].set_ylabel("mm")
     part.colorbar(image, ax=list(axes), label="mJ/mm³", shrink=0.8)
@@ -176,14 +172,12 @@ def friction_colours(presses: SimulatedPresses) -> Any:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return rates (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
-    step = time[1] - time[0]
+    """Return time derivatives (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
+    step = float(time[1] - time[0])
     width = max(1, round(_SLOPE_S / step / 2))
-    rates = np.full(series.shape, np.nan)
-    if len(time) > 2 * width:
-        slopes = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="nearest")
-        rates[width:-width] = slopes[width:-width]
-    return rates
+    rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
+    rates[:width] = rates[-width:] = np.nan
+    return np.asarray(rates)
 
 
 def _density(radial: Values, hoop: Values) -> Values:
@@ -192,18 +186,21 @@ def _density(radial: Values, hoop: Values) -> Values:
     return np.asarray(strain_energy_density(green_lagrange(gradient)))
 
 
-def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
-    """Return extent (mm) and strains (H, W, 3) of the chain rotated about its axis at full load; NaN off contact."""
-    k, found = presses.index(friction), presses.profile()
-    radius = found.radius[-1, k]
-    reach = float(radius[-1])
-    grid = np.linspace(-reach, reach, _MAP_CELLS)
-    x, y = np.meshgrid(grid, grid)
-    distance = np.hypot(x, y)
-    both = [np.interp(distance, radius, strain[-1, k], right=np.nan) for strain in (found.radial, found.hoop)]
-    cosine, sine = (np.divide(part, distance, out=np.ones_like(part), where=distance > 0) for part in (x, y))
-    outward: Tensor = torch.from_numpy(np.stack((cosine, sine), -1))
-    along = outward[..., :, None] * outward[..., None, :]
-    across = torch.eye(2, dtype=torch.float64) - along
-    gradient = torch.from_numpy(both[0])[..., None, None] * along + torch.from_numpy(both[1])[..., None, None] * across
-    return (-reach, reach, reach, -reach), green_lagrange(gradient).numpy()
+def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
+    """Return extents (mm) and strains (2, H, W, 3) of the chains at low and high friction, turned about their axis.
+
+    They are those at full load; NaN off contact.
+    """
+    found = presses.profile()
+    extents, gradients = [], []
+    for k in (presses.index(LOW), presses.index(HIGH)):
+        radius = found.radius[-1, k]
+        reach = float(radius[-1])
+        x, y = np.meshgrid(*2 * [np.linspace(-reach, reach, _MAP_CELLS)])
+        distance = np.hypot(x, y)
+        radial, hoop = (np.interp(distance, radius, one[-1, k], right=np.nan) for one in (found.radial, found.hoop))
+        outward = np.stack([np.divide(one, distance, out=np.ones_like(one), where=distance > 0) for one in (x, y)], -1)
+        along = outward[..., :, None] * outward[..., None, :]
+        gradients.append(radial[..., None, None] * along + hoop[..., None, None] * (np.eye(2) - along))
+        extents.append((-reach, reach, reach, -reach))
+    return extents, green_lagrange(torch.from_numpy(np.stack(gradients))).numpy()

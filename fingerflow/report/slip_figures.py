@@ -52,17 +52,6 @@ def draw_motion(
     return axes
 
 
-def draw_models(axes: Axes, mu_s: float, mu_k: float) -> Axes:
-    """Draw figure 2 a: the model, the model with equal coefficients, and Coulomb's, for the same load at full slip."""
-    largest = float(critical_load_ratio(mu_s, mu_k))
-    load = np.linspace(0, largest, 400)
-    axes.plot([0, largest, largest], [1, 1, 0], "--", color=GREY, label="Coulomb")
-    axes.plot(load, stuck_area(load, largest, largest), color=GREY, label=r"$\mu_k = \mu_s$")
-    _draw_curve(axes, mu_s, mu_k, _named(mu_s, mu_k), INK)
-    axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05))
-    return finished(axes)
-
-
 def draw_trial(
     axes: Axes,
     stuck_area: ArrayLike,
@@ -76,13 +65,10 @@ def draw_trial(
     if np.isfinite(verdict.loss_load_ratio):
         edges = verdict.loss_load_ratio * (1 - CORRIDOR), verdict.loss_load_ratio * (1 + CORRIDOR)
         axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
-    if verdict.outcome == "vanishes abruptly":
-        collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
-        name = f"collapse, {verdict.collapse_ms:.0f} ms"
-        axes.plot(load[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
+    if _draw_collapse(axes, load, area, verdict):
         axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
     if fit is not None and fit.identified:
-        _draw_curve(axes, fit.mu_s, max(fit.mu_k, 0.0), _named(fit.mu_s, fit.mu_k), INK)
+        _draw_fit(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
     return finished(axes)
 
@@ -110,26 +96,28 @@ def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: 
     """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked."""
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
     axes.plot(when, area, color=INK, linewidth=1)
-    if verdict.outcome == "vanishes abruptly":
-        collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
-        name = f"collapse, {verdict.collapse_ms:.0f} ms"
-        axes.plot(when[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
+    _draw_collapse(axes, when, area, verdict)
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")
     axes.set(xlabel="time (s)", ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
     return finished(axes)
 
 
-def _named(mu_s: float, mu_k: float) -> str:
-    return rf"$\mu_s$ = {mu_s:.2f}, $\mu_k$ = {mu_k:.2f}"
+def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: TrialVerdict) -> bool:
+    """Draw the collapse of the stuck area if there is one, and return whether there is."""
+    if verdict.outcome != "vanishes abruptly":
+        return False
+    collapse, name = slice(verdict.collapse_frame, verdict.loss_frame + 1), f"collapse, {verdict.collapse_ms:.0f} ms"
+    axes.plot(x[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
+    return True
 
 
-def _draw_curve(axes: Axes, mu_s: float, mu_k: float, name: str, colour: str) -> None:
+def _draw_fit(axes: Axes, mu_s: float, mu_k: float, name: str) -> None:
     # Quadratic steps of load: near the critical load the area changes too fast for equal ones.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
     load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)
-    axes.plot(load, stuck_area(load, mu_s, mu_k), color=colour, label=name)
+    axes.plot(load, stuck_area(load, mu_s, mu_k), color=INK, label=name)
     if smallest > 0:
-        axes.plot([largest, largest], [smallest, 0], ":", color=colour)
-        axes.plot(largest, smallest, "o", color=colour, markersize=4)
+        axes.plot([largest, largest], [smallest, 0], ":", color=INK)
+        axes.plot(largest, smallest, "o", color=INK, markersize=4)

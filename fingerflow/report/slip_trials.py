@@ -1,4 +1,4 @@
-"""Trials of tangential loading: verdict lines, counts, and figures like those of Terekhov & Hayward 2011."""
+"""Results of trials of tangential loading: text of verdicts, counts, and figures as in Terekhov & Hayward 2011."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from fingerflow.results.atomic_write import is_marked, keep_others
 
 @dataclass(frozen=True)
 class SlipTrial:
-    """Processed trial: name, data set, verdict, and fit of friction or None."""
+    """Processed trial of tangential loading: name, data set, verdict, and friction fit or None."""
 
     name: str
     result: xr.Dataset
@@ -30,21 +30,21 @@ class SlipTrial:
 
     @classmethod
     def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
-        """Return the trial of a data set with `stuck_ratio`."""
+        """Return the trial stored in a data set that contains `stuck_ratio`."""
         stored = result["stuck_ratio"].attrs
         verdict = TrialVerdict(**_numbers(stored["verdict"]))
         fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None
         return cls(name, result, verdict, fit)
 
     def load_ratio(self) -> NDArray[np.float64]:
-        """Return T/N (F,), NaN without forces."""
+        """Return the load ratio T/N in each frame (F,), NaN without forces."""
         if "load_ratio" in self.result:
             return np.asarray(self.result["load_ratio"])
         return np.full(self.result.sizes["frame"], np.nan)
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return the verdicts by the corrected and by the printed rule, with their numbers, as one line."""
+    """Return one line of text with a trial's verdicts by the corrected and by the printed rule, and their numbers."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -55,7 +55,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return the number of trials of each verdict, by the corrected rule and as printed, as one line."""
+    """Return one line of text with the number of trials of each verdict, by the corrected and by the printed rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -69,7 +69,7 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
 
 
 def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False) -> Path:
-    """Write one figure a trial (`trial_figure`) and `trials.png` of all of them; return the folder.
+    """Write one figure per trial (`trial_figure`), and `trials.png` with all trials; return the folder.
 
     Raises:
         FingerflowError: without ``overwrite``, a file would be replaced that fingerflow has not written; nothing is
@@ -98,21 +98,15 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
 
 
 def trial_figure(trial: SlipTrial) -> Figure:
-    """Draw skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
+    """Draw a trial: skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     # The last frame of slow loading: later the stick region has almost vanished.
     frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-    position, region = np.asarray(result["position"]), result["stuck_region"]
-    draw_motion(
-        left,
-        position[0],
-        position[frame] - position[0],
-        contact_outline(result.isel(frame=frame)),
-        stuck_outline(region[frame].values, region.attrs.get("cell_mm", 1.0), region.attrs.get("first_cell_mm", 0.0)),
-    )
+    position, one = np.asarray(result["position"]), result.isel(frame=frame)
+    draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
     left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
     draw_trial(middle, area, load, verdict, trial.fit)
     draw_over_time(right, result["time"], area, verdict)
@@ -121,7 +115,7 @@ def trial_figure(trial: SlipTrial) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Return the fields of a dataclass from an attribute of a result: null becomes NaN, lists become tuples."""
+    """Parse a dataclass stored as JSON in an attribute of a result; null becomes NaN, lists become tuples."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

@@ -24,7 +24,7 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stresses and strains below the surface for K presses, at Y positions along the surface."""
+    """Stress and strain below the surface in K presses, at Y positions along the surface and several depths."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -35,7 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under the chain's pressure and traction, and the resulting viscoelastic strain."""
+    """Compute half-space stress under the presses' pressure and traction, and the viscoelastic strain that follows."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -53,10 +53,10 @@ def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -
     )
 
 
-def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float = HIGH) -> Sequence[Axes]:
-    """Draw figure S10 A: pressure (kPa) under the skin and the skin's shape (mm) as the force rises."""
+def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
+    """Draw figure S10 A: pressure (kPa) under the skin and its shape (mm) as the force rises, at the high friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
-    k = presses.index(friction)
+    k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
     for frame, colour in zip(frames, colormaps["viridis"](np.linspace(0.9, 0, _SHAPES)), strict=True):
         x, z = 1e3 * presses.chain.position[frame, k].T.numpy()
@@ -64,7 +64,7 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float =
         axes[0].plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), color=colour, linewidth=1.2, label=name)
         axes[1].plot(x, z, color=colour, linewidth=1.2)
     axes[1].axhline(0, color=GREY, linewidth=0.8)
-    axes[0].set(ylabel="pressure (kPa)", title=f"friction {friction:g}")
+    axes[0].set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
     axes[1].set(xlabel="along the plate (mm)", ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
     for one in axes:
         finished(one)
@@ -144,7 +144,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return line styles of the presses, ever thinner: loads nearly coincide, and earlier lines must stay visible."""
+    """Return the line styles of the presses, ever thinner, as nearly equal curves would hide each other."""
     widths = np.linspace(3.5, 0.9, len(presses.friction))
     return [
         {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}
@@ -153,5 +153,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return the ratio of values (K,) at the high and the low friction as text."""
-    return f"friction {HIGH:g} over {LOW:g}: {values[presses.index(HIGH)] / values[presses.index(LOW)]:.3f}"
+    """Return the ratios of values (K,) at the high friction to those at the low and at the least friction as text."""
+    high = values[presses.index(HIGH)]
+    over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
+    return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

@@ -1,4 +1,4 @@
-"""Key frames of a trial, for maps and columns of numbers: chosen by force, slip, displacement or contact."""
+"""Key frames of a trial, shown as maps and columns of numbers: selected by force, slip, displacement or contact."""
 
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ _LOADED = 0.2  # share of the largest normal force above which a load ratio is u
 
 
 class Telling(NamedTuple):
-    """Key frame: its index in the result, and why it was chosen."""
+    """Key frame: its index in the result, and the reason for its selection."""
 
     frame: int
     why: str
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Return at most five key frames in order of time; of more, those first in the lists below.
+    """Select at most five key frames of a result, in order of time; of more, those that come first in the lists below.
 
     If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
     load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft
@@ -47,7 +47,7 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which frames (F,) have known fields, or contact where the result has no fields."""
+    """Return a mask (F,) of frames with known fields, or with contact if the result has no fields."""
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -72,27 +72,18 @@ def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
     loaded = known & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
     if not loaded.any():
         return []
-    pulled = np.where(loaded, ratio, -np.inf)
-    top = int(np.argmax(pulled))
-    half = int(np.argmax(pulled >= pulled[top] / 2))
-    last = int(np.flatnonzero(loaded)[-1])
-    between = Telling((top + last) // 2, "sliding")
-    return [
-        Telling(top, "largest T/N"),
-        Telling(last, "last frame"),
-        Telling(half, "half of the largest T/N"),
-        *([between] if known[between.frame] else []),
-    ]
+    top, half = _largest_and_half(np.where(loaded, ratio, -np.inf), "T/N")
+    last = Telling(int(np.flatnonzero(loaded)[-1]), "last frame")
+    between = Telling((top.frame + last.frame) // 2, "sliding")
+    return [top, last, half, *([between] if known[between.frame] else [])]
 
 
 def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
-    length = np.linalg.norm(result["contact_displacement"].values, axis=1) if "contact_displacement" in result else None
     found = []
-    if length is not None and np.isfinite(length).any():
-        length = np.where(known, np.nan_to_num(length), 0.0)
-        top = int(np.argmax(length))
-        found.append(Telling(top, "largest displacement"))
-        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of the largest displacement"))
+    if "contact_displacement" in result:
+        length = np.linalg.norm(result["contact_displacement"].values, axis=1)
+        if np.isfinite(length).any():
+            found = _largest_and_half(np.where(known, np.nan_to_num(length), 0.0), "displacement")
     slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
     if len(slips):
         found.append(Telling(int(slips[0]), "first gross slip"))
@@ -100,22 +91,24 @@ def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
-    if "gross_contact_area" not in result:
-        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
-    area = np.where(known, np.nan_to_num(result["gross_contact_area"].values), 0.0)
-    top = int(np.argmax(area))
-    if not area[top] > 0:
-        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(known))
+    area = np.where(known, np.nan_to_num(area), 0.0)
     touching = np.flatnonzero(area > 0)
-    return [
-        Telling(top, "largest contact"),
-        Telling(int(touching[-1]), "last frame in contact"),
-        Telling(int(np.argmax(area >= area[top] / 2)), "half of the largest contact"),
-    ]
+    if not len(touching):
+        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    top, half = _largest_and_half(area, "contact")
+    return [top, Telling(int(touching[-1]), "last frame in contact"), half]
+
+
+def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
+    """Return the frame of the largest value, and the first one with half of it."""
+    top = int(np.argmax(values))
+    half = int(np.argmax(values >= values[top] / 2))
+    return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return at most five frames that are apart by 2 % of the frames, preferring earlier entries, in order of time."""
+    """Return up to five key frames in order of time, at least 2 % of the recording apart; earlier entries win."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -1,4 +1,4 @@
-"""Metrics of many trials, as in figures S1, S5 and S7 to S9 of Willemet et al. 2021, drawn into given axes.
+"""Metrics of many trials, as in figures S1, S5 and S7 to S9 and S13 of Willemet et al. 2021, drawn into given axes.
 
 An answer is correct if the vibrating comparison was felt as more slippery than the reference, which does not vibrate.
 """
@@ -19,9 +19,8 @@ Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
-_BINS = 8  # with equally many trials
 _NORMAL_95 = 1.959964
-
+_BINS = 8  # with equally many trials
 
 #: Metrics that figures and statistics use, columns of the table of trials.
 METRICS = (
@@ -44,14 +43,9 @@ METRICS = (
 
 
 def label_of(metric: str) -> str:
-    """Return the label of a metric, or of its difference (comparison less reference) for a name with `_difference`."""
+    """Return the axis label of a metric; a name with `_difference` means comparison less reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
-
-
-def shown_values(metric: str, values: Values) -> Values:
-    """Return values of a metric, or of its difference, in the unit of its label."""
-    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(values))
 
 
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
@@ -90,7 +84,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high values."""
+    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high metric values."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -116,7 +110,8 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude: trials, median, mean ± SD, ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
+    ANOVA.
 
     Args:
         axes: axes to draw into.
@@ -154,21 +149,12 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     dots.
     """
     values = _shown(trials, metric)
-    conditions, place = _conditions(trials)
+    conditions, _ = _conditions(trials)
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
-    medians: list[float] = []
-    shares: list[float] = []
-    who: list[Any] = []
+    medians, shares, condition, who = dots_of(trials, values)
     for index, colour in enumerate(colours):
-        x, y = [], []
-        for participant in np.unique(trials.participant):
-            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
-            if own.any():
-                x.append(float(np.median(values[own])))
-                who.append(participant)
-                y.append(float(trials.answer[own].mean()))
-        axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
-        medians, shares = medians + x, shares + y
+        own = condition == index
+        axes.plot(medians[own], shares[own], "o", color=colour, markersize=4, label=conditions[index])
     found = spearman(medians, shares, participants=who)
     axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
@@ -179,11 +165,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figures S8 G and S9 D: one metric against another, one colour a participant, least-squares line and R²."""
-    x, y = _shown(trials, first), _shown(trials, second)
-    names = np.unique(trials.participant)
-    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
-        own = trials.participant == name
-        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+    x, y = _draw_by_participant(axes, trials, first, second)
     found = pearson(x, y)
     if np.isfinite(found.value):
         both = np.isfinite(x) & np.isfinite(y)
@@ -193,12 +175,45 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
         name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
         axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
     axes.set(xlabel=label_of(first), ylabel=label_of(second))
-    axes.set_title(f"{names.size} participants, {found.trials} trials", fontsize="medium")
+    axes.set_title(f"{np.unique(trials.participant).size} participants, {found.trials} trials", fontsize="medium")
     return finished(axes)
 
 
+def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
+    """Draw figure S13 C: median curl against median divergence of each trial, one colour a participant."""
+    found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
+    low, high = found.interval
+    axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
+    axes.set_title(f"r = {found.value:.2f} ({low:.2f} to {high:.2f}), {found.trials} trials", fontsize="medium")
+    return finished(axes)
+
+
+def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
+    """Return median, share of answers, index of the condition and participant, of each participant in each condition.
+
+    Pairs without a known value are left out.
+    """
+    conditions, place = np.unique(trials.condition, return_inverse=True)
+    dots = []
+    for participant in np.unique(trials.participant):
+        for index in range(len(conditions)):
+            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
+            if own.any():
+                dots.append((float(np.median(values[own])), float(trials.answer[own].mean()), index, participant))
+    medians, shares, condition, who = zip(*dots, strict=True) if dots else ((), (), (), ())
+    return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp), np.array(who)
+
+
+def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
+    """Return the names of the participants and the median of a metric of each, as it is shown; NaN where unknown."""
+    names = np.unique(trials.participant)
+    values = _shown(trials, metric)
+    own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
+    return names, np.array([np.median(known) if known.size else np.nan for known in own])
+
+
 def finished_beside(axes: Axes, title: str) -> Axes:
-    """Finish axes as `finished` does, with the legend beside the axes, where it covers no dot."""
+    """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
     finished(axes)
     axes.legend(
         frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
@@ -207,14 +222,24 @@ def finished_beside(axes: Axes, title: str) -> Axes:
     return axes
 
 
+def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
+    """Draw a metric against another one, one colour a participant; return the values of both, as they are shown."""
+    x, y = _shown(trials, first), _shown(trials, second)
+    names = np.unique(trials.participant)
+    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
+        own = trials.participant == name
+        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+    return x, y
+
+
 def _shown(trials: Trials, metric: str) -> Values:
     if metric not in trials.metrics:
         raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
-    return shown_values(metric, trials.metrics[metric])
+    return np.asarray(NUMBERS[metric.removesuffix(DIFFERENCE)].shown_values(trials.metrics[metric]))
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Return the conditions' names in rising order, and the index of each trial's condition."""
+    """Return the names of the conditions in rising order, and for each trial the index of its condition."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 

@@ -1,6 +1,5 @@
-"""Table of trials from a CSV file: one row a trial, a heading with the names of the columns."""
+"""Reader of a table of trials from a CSV file: one row a trial, column names in the heading."""
 
-import csv
 import math
 from os import PathLike
 from pathlib import Path
@@ -11,41 +10,23 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, read_trials
+from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 
 _NAMES = ("participant", "trial")  # kept as text; conditions are numbers if all of them are
-_ANSWERS = {"1": True, "true": True, "0": False, "false": False}
-_NOTHING = ("", "nan", "na")
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:
-    """Read and check a table by `fingerflow.models.observer.read_trials`.
+    """Read a CSV table of trials, and check it by `fingerflow.models.observer.read_trials`.
 
     Columns `participant`, `trial`, `condition` (the vibration amplitude in µm, for figures against it), `answer` (1 or
     true where the comparison was felt as more slippery, which is correct) and metrics. An empty cell is NaN.
 
     Raises:
-        FingerflowError: the file cannot be read, a row has more or fewer cells than the heading, an answer or a metric
-            is invalid, or as in `read_trials`.
+        FingerflowError: an answer or a metric is invalid, or as in `read_rows` and `read_trials`.
     """
     location = Path(path)
-    try:
-        with location.open(encoding="utf-8-sig", newline="") as file:
-            heading, *rows = [row for row in csv.reader(file) if row] or [[]]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FingerflowError(f"{location} cannot be read ({reason}); give a CSV file of trials") from error
-    names = [name.strip() for name in heading]
-    if len(set(names)) < len(names) or not rows:
-        raise FingerflowError(
-            f"{location}: has the columns {', '.join(names) or 'none'} and {len(rows)} rows; give a heading of "
-            "different names and one row a trial"
-        )
-    for number, row in enumerate(rows):
-        if len(row) != len(names):
-            raise FingerflowError(
-                f"{location}: trial {number + 1} has {len(row)} cells, the heading {len(names)}; are commas missing?"
-            )
-    columns = {name: _typed(location, name, [row[place].strip() for row in rows]) for place, name in enumerate(names)}
+    rows = read_rows(location)
+    columns = {name: _typed(location, name, [row[name] for row in rows]) for name in rows[0]}
     try:
         return read_trials(columns)
     except FingerflowError as error:
@@ -56,20 +37,20 @@ def _typed(path: Path, name: str, cells: list[str]) -> NDArray[Any]:
     if name in _NAMES:
         return np.array(cells)
     if name == "answer":
-        for number, cell in enumerate(cells):
-            if cell.lower() not in _ANSWERS:
+        for number, cell in enumerate(cells, start=2):
+            if cell.lower() not in ANSWERS:
                 raise FingerflowError(
-                    f"{path}: the answer of trial {number + 1} is {cell!r}; give 1 where it was correct, 0 where not"
+                    f"{path}, row {number}: answer is {cell!r}; give 1 where it was correct, 0 where not"
                 )
-        return np.array([_ANSWERS[cell.lower()] for cell in cells])
+        return np.array([ANSWERS[cell.lower()] for cell in cells])
     numbers = []
-    for number, cell in enumerate(cells):
+    for number, cell in enumerate(cells, start=2):
         try:
-            numbers.append(math.nan if cell.lower() in _NOTHING else float(cell))
+            numbers.append(math.nan if cell.lower() in NOTHING else float(cell))
         except ValueError:
             if name == "condition":
                 return np.array(cells)
             raise FingerflowError(
-                f"{path}: {name} of trial {number + 1} is {cell!r}; give a number, or nothing where there is none"
+                f"{path}, row {number}: {name} is {cell!r}; give a number, or nothing where there is none"
             ) from None
     return np.array(numbers)

@@ -32,27 +32,17 @@ class TribometerTrace:
     position: Tensor  # (T,) m of the finger, growing to the right
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
-    def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in amplitude bins between ``edges`` (m).
-
-        The default edges are those of six equal bins over the range of amplitudes.
+    def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
+        """Return friction coefficients of each rising half period, in six equal bins over the range of amplitudes.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
         """
         low, high = float(self.amplitude.min()), float(self.amplitude.max())
-        if edges is None:
-            edges = torch.linspace(low, np.nextafter(high, np.inf), BINS + 1, dtype=torch.float64)
+        edges = torch.linspace(low, np.nextafter(high, np.inf), BINS + 1, dtype=torch.float64)
+        signals = (self.time, self.normal, self.tangential, self.position, self.amplitude)
         try:
-            return friction_epochs(
-                self.time,
-                self.normal,
-                self.tangential,
-                self.position,
-                self.amplitude,
-                edges,
-                modulation_hz=modulation_hz,
-            )
+            return friction_epochs(*signals, edges, modulation_hz=modulation_hz)
         except ValueError as error:
             raise FingerflowError(f"{self.path}: {error}") from None
 
@@ -60,7 +50,7 @@ class TribometerTrace:
 def read_tribometer(
     path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> TribometerTrace:
-    """Read a trace by `open_forces`, in any of its formats.
+    """Read a tribometer trace from a file of any format of `open_forces`.
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
@@ -125,7 +115,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
 
 
 def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
-    """Draw figure S1 B: the coefficient of each epoch against the amplitude, with median and quartiles over epochs."""
+    """Draw figure S1 B: friction of each sliding epoch against vibration amplitude, with median and quartiles."""
     middles = 1e6 * ((epochs.edges[1:] + epochs.edges[:-1]) / 2).numpy()
     for medians in epochs.median.numpy():
         axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)
@@ -137,6 +127,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile, robust to large ratios at small normal forces."""
+    """Return an upper axis limit by the 0.99 quantile of values, so that few large ratios do not matter."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

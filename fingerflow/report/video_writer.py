@@ -1,4 +1,4 @@
-"""MP4 encoding of a sequence of pictures by PyAV."""
+"""Writer of a sequence of images to an MP4 video, by PyAV."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -14,7 +14,7 @@ RATE = 30  # frames a second of a video
 
 
 def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
-    """Write RGB pictures (H, W, 3) of one size as MP4; an odd last row or column is left out.
+    """Write RGB images (H, W, 3) of one size as an MP4 video; an odd last row or column is left out.
 
     The codec is H.264 if PyAV has it, else MPEG-4.
 

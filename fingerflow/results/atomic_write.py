@@ -16,7 +16,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Check that an output does not replace an input.
+    """Check that an output path is not one of the inputs of a command.
 
     Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
@@ -39,7 +39,7 @@ def spare(output: Path, *inputs: Path | None) -> None:
 
 
 def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
-    """Check that the output may be written.
+    """Check that an output replaces no file that this command has not written.
 
     Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
     """
@@ -51,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether a file contains `MARK` in its first or last MiB, where pages, PNG and MP4 hold their metadata."""
+    """Return whether the first or last MiB of a file, where HTML, PNG and MP4 hold metadata, contains the `MARK`."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)
@@ -72,7 +72,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 @contextmanager
 def written_atomically(path: Path) -> Iterator[Path]:
-    """Yield a temporary path that is renamed to `path` at the end, as `write_atomically` does."""
+    """Yield a temporary path that is renamed to `path` when the context ends, as in `write_atomically`."""
     part: Path | None = None
     try:
         if not path.name or path.is_dir():

@@ -1,4 +1,4 @@
-"""Standard deviations that a result states: NaN where residuals cannot show the errors of positions."""
+"""Standard deviations in a result: set to NaN where residuals cannot show the position errors, as with lossy video."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ _AT_ONCE = 64  # frames
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """Return the variables; with a codec, the definitions of standard deviations state that they do not hold.
+    """Return result variables; with a codec that hides errors, definitions of deviations say that these are not known.
 
     A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
     residuals nor scatter show them, so a deviation cannot be widened to include them. On the press as H.264, 22 to 34 %
@@ -37,7 +37,7 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
 
 
 def withhold(store: Store, known: Mapping[str, Variable]) -> None:
-    """Set these deviations to NaN; that of a position stays, for later computations from this result."""
+    """Set standard deviations to NaN in a result, except those of positions, which later computations need."""
     for name in _withheld(known):
         if name in store:
             values = store[name]

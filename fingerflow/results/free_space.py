@@ -18,7 +18,7 @@ _GB = 1e9
 
 
 def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
-    """Return the size in bytes of these variables in memory, if all requested points are found.
+    """Return the size in bytes that variables of a result take in memory, if all requested points are found.
 
     There are two triangles per point; the regions of cells are neglected.
     """
@@ -43,12 +43,12 @@ def check_memory(needed: float) -> None:
 
 
 def check_disk(path: Path, holds: float) -> None:
-    """Raise NoRoomError where a file of results that holds so many bytes cannot fit on its disk."""
+    """Raise NoRoomError where a result file with `holds` bytes of content cannot fit on its disk."""
     _check_free(path, _COMPRESSED * holds)
 
 
 def check_write(path: Path, bytes_more: int) -> None:
-    """Raise NoRoomError where the disk lacks room for the next bytes of a file and for data that HDF5 still buffers."""
+    """Raise NoRoomError where the disk lacks space for `bytes_more` bytes and for data that HDF5 still buffers."""
     _check_free(path, bytes_more + _LEFT_BYTES)
 
 

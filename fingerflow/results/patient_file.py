@@ -1,4 +1,4 @@
-"""File writer that tolerates a full disk for a while."""
+"""File writer that buffers data in memory while the disk is full."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ _MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 30
 
 
 class Refusal(NamedTuple):
-    """Period in which the disk was full, reported after it has ended."""
+    """Record of a past period in which the disk was full."""
 
     seconds: float
     kept: int  # bytes, largest amount buffered
 
 
 class PatientFile:
-    """Writer that appends to an existing file and buffers data in memory while the disk is full, retrying each second.
+    """Writer that appends to an existing file; while the disk is full it buffers data in memory and retries each
+    second.
 
     Nothing is lost if space is freed within half a minute; after that, `flush` raises the error of the disk. `flush`
     returns at once in between, unless `wait` is set or the buffer exceeds 256 MiB.
@@ -47,16 +48,17 @@ class PatientFile:
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        """Return the number of bytes that are not in the file yet."""
+        """Return the number of buffered bytes, which are not in the file yet."""
         return len(self._kept)
 
     def write(self, data: bytes | memoryview) -> None:
-        """Buffer bytes; `flush` writes them."""
+        """Add bytes to the buffer; `flush` writes them to the file."""
         with self._lock:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write the buffer, and return once, when the disk has room again, how long it was full.
+        """Write the buffer to the file. After a period with a full disk, return once how long it lasted; otherwise
+        None.
 
         Args:
             wait: wait for room where there is none.
@@ -87,7 +89,7 @@ class PatientFile:
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raise the error unless the disk is full, and has been for less than half a minute."""
+        """Raise the error of a write, unless it is a full disk that has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

@@ -1,4 +1,4 @@
-"""Stores for results while they are computed: arrays by variable, in memory or in a file that grows frame by frame."""
+"""Storage of results during a run: arrays by variable, in memory or in a file that grows frame by frame."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more point
 
 
 class Values(Protocol):
-    """Values of a variable, indexed along its first dimension (mostly frames) by a slice or consecutive numbers."""
+    """Array of a variable, indexed along its first dimension (mostly frames) by a slice or consecutive numbers."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -40,20 +40,20 @@ class Values(Protocol):
 
 
 class Store(ABC):
-    """Variables of a run while stages write and read them.
+    """Container of the variables of a run, which the stages write and read.
 
     A variable is created once, when the sizes of its dimensions are known, and then filled frame by frame. Values that
     are not written yet are NaN, or 0 for integers.
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Prepare a store for so many `frames`; only the variables in `known`, by name, may be created."""
+        """Prepare a store for a number of `frames`, into which only variables named in `known` may be written."""
         self._known = known
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
 
     def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
-        """Create an empty variable and return it; `sizes` gives the sizes of new dimensions."""
+        """Create an empty variable and return its array; `sizes` gives the sizes of new dimensions."""
         self._sizes.update(sizes)
         variable = self._known[name]
         of_it = {**variable.attributes(), **(attributes or {})}
@@ -61,11 +61,11 @@ class Store(ABC):
         return values
 
     def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
-        """Create a variable and write all of its values."""
+        """Create a variable in the store and write all of its values."""
         self.create(name, attributes, **sizes)[:] = values
 
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
-        """Extend a dimension of all variables that have it; new values are empty, or `fills` by variable."""
+        """Extend a dimension of all variables that have it; new elements are empty, or have the value in `fills`."""
         before, self._sizes[dim] = self._sizes[dim], size
         for name in list(self._values):
             if dim in self._known[name].dims:
@@ -85,15 +85,15 @@ class Store(ABC):
 
     @abstractmethod
     def check_room(self, needed: float) -> None:
-        """Raise NoRoomError where results of `needed` more bytes do not fit."""
+        """Raise NoRoomError where another `needed` bytes of results do not fit into memory or on the disk."""
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Add the coordinates and the global attributes; nothing is written after it."""
+        """Add coordinates and global attributes to the results; nothing may be written afterwards."""
 
 
 class MemoryStore(Store):
-    """Store in memory; `dataset` is set by `finish`."""
+    """Store that keeps all variables in memory; `finish` puts them into `dataset`."""
 
     dataset: xr.Dataset
 
@@ -125,7 +125,7 @@ class MemoryStore(Store):
 
 
 class FileStore(Store):
-    """Store in an HDF5/NetCDF4 file; the part in memory does not grow with the number of frames.
+    """Store that writes variables to an HDF5/NetCDF4 file; its memory use does not grow with the number of frames.
 
     Dimension scales of NetCDF-4 are written in `finish`: attaching them with each variable takes longer than writing
     the numbers of a small recording.
@@ -225,19 +225,19 @@ class FileStore(Store):
 
 
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
-    """Write attributes in the NetCDF form: texts, and arrays of numbers."""
+    """Write attributes of a variable or file in the NetCDF form: texts, and arrays of numbers."""
     for name, value in attributes.items():
         stored.attrs[name] = value if isinstance(value, (str, np.generic)) else np.atleast_1d(value)
 
 
 class _Stored:
-    """A variable in a file, read and written by consecutive frames, ascending or descending."""
+    """Array of a variable in an HDF5 file, read and written by consecutive frames, ascending or descending."""
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._variable, self._path, self.shape = variable, path, tuple(variable.shape)
 
     def resize(self, size: int, axis: int) -> None:
-        """Extend an axis."""
+        """Change the length of one axis of the array."""
         self._variable.resize(size, axis)
         self.shape = tuple(self._variable.shape)
 
@@ -258,7 +258,7 @@ class _Stored:
             self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))
 
     def _consecutive(self, index: Any) -> tuple[slice, int]:
-        """Return consecutive frames as an ascending slice, and step 1 or, where `index` descends, -1."""
+        """Convert consecutive frame numbers to an ascending slice, and a step of 1, or -1 if they descend."""
         numbers = range(self.shape[0])[index] if isinstance(index, slice) else np.asarray(index, dtype=int).tolist()
         if not len(numbers):
             return slice(0, 0), 1
@@ -272,5 +272,5 @@ class _Stored:
 
 
 def _fill(variable: Variable) -> tuple[float, str]:
-    """Return the fill value of unwritten elements, and the dtype."""
+    """Return the fill value for elements of a variable that are not written yet, and its data type."""
     return (np.nan if variable.kind.startswith("f") else 0), variable.kind

@@ -1,4 +1,4 @@
-"""Conversion of the folder of a played stream to a labelled data set like that of `process`."""
+"""Conversion of a stream's results folder to a labelled data set like that of `process`."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ _TRACKED = 0  # flag of `status`
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
-    """Open the results of a stream as a data set.
+    """Return the results folder of a stream as a labelled data set.
 
     Variables have the names, dimensions, units, definitions and flags of :func:`fingerflow.process`, as far as a stream
     has them.
@@ -56,7 +56,7 @@ def _labelled(results: StreamResults) -> xr.Dataset:
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
-    """Return the variables in the records, and those derived from them."""
+    """Return the variables stored in the records of a stream, and variables derived from them."""
     records, header = results.records, results.header
     points = max(chosen, default=0)
     found: dict[str, Array] = {}
@@ -86,7 +86,7 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
 
 
 def _medians(values: Array) -> Array:
-    """Return the median of the finite values in each row (F, N); NaN where there are none."""
+    """Return the median (F,) over the finite values in each row of values (F, N); NaN for rows without any."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 

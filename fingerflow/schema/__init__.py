@@ -1,1 +1,1 @@
-"""Schema of scene files and result variables as data, shared by the package and the player of a bundle."""
+"""Definitions of scene files and result variables as data, for the package and the player of a deployment bundle."""

@@ -1,4 +1,4 @@
-"""What every file of a deployment bundle and of a stream says of itself."""
+"""Version number and coordinate convention stated in every file of a deployment bundle and of a recorded stream."""
 
 BUNDLE_FORMAT = 6  # increased whenever a player of another version cannot play a bundle
 COORDINATES = (

@@ -13,11 +13,11 @@ _REMEDY = "Write it anew with `fingerflow calibrate`"
 
 
 class CalibrationError(Exception):
-    """Error with the calibration file, what is wrong in it, and the remedy."""
+    """Error in a calibration file: which file, what is wrong in it, and what to do."""
 
 
 class TransformRows(NamedTuple):
-    """Transform between views and its residuals.
+    """Transform between the two views in a calibration file: its matrix rows and its residuals.
 
     Attributes:
         matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
@@ -44,7 +44,7 @@ class CalibrationFile(NamedTuple):
     warnings: tuple[str, ...]
 
     def matrix(self) -> list[list[float]] | None:
-        """Return [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
+        """Return the affine transform [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
 
         Returns None where the calibration holds only a scale.
         """
@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
-    """Return two whole numbers [first, end) with 0 <= first < end; raise ValueError for any other value."""
+    """Return a range of pixels as integers [first, end) with 0 <= first < end; raise ValueError for any other value."""
     try:
         first, end = (int(value) for value in values)
         whole = (first, end) == tuple(values)
@@ -130,7 +130,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 def _number(value: Any) -> float:
-    """Return a number unchanged: an int stays an int. Raise TypeError for any other value."""
+    """Check that a value is a number and return it unchanged; raise TypeError for any other value."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is no number")
     return value

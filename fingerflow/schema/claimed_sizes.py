@@ -1,4 +1,4 @@
-"""Sizes stated in the headers of image and array files, read before a library allocates memory for them."""
+"""Reading of the sizes that image and array files claim in headers, before a library allocates memory for them."""
 
 import struct
 
@@ -14,7 +14,7 @@ _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
 
 
 def impossible_picture(data: bytes | memoryview) -> str:
-    """Return why the content of a PNG, JPEG or BMP file contradicts its header, or "" if it does not.
+    """Return why the header of a PNG, JPEG or BMP file contradicts the rest of the file, or "" if they agree.
 
     The text continues a sentence that begins with the name of the file.
     """

@@ -1,4 +1,4 @@
-"""List of the keys of scene files with type, default and meaning in words."""
+"""List of all keys of scene files, with type, default and meaning as text."""
 
 import json
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from fingerflow.schema.scene_kinds import KINDS
 
 
 class ListedKey(NamedTuple):
-    """Key of a scene file in words; ``name`` is its dotted path, ``default`` in JSON or ""."""
+    """Description of one key of scene files as text; ``name`` is its dotted path, ``default`` is JSON or ""."""
 
     name: str
     type: str
@@ -38,14 +38,14 @@ class ListedKey(NamedTuple):
     help: str
 
     def __str__(self) -> str:
-        """Return two lines of plain text."""
+        """Return the description of the key in two lines of plain text."""
         needed = f", needed by {self.needed_by}" if self.needed_by else ""
         default = f", default {self.default}" if self.default else ""
         return f"{self.name}  {self.type}{default}{needed}\n    {self.help}"
 
 
 def key_list() -> list[ListedKey]:
-    """Return every key of a scene of the kind "press", which has all tables."""
+    """Return every key of scene files: those of a scene of the kind "press", which has all tables."""
     tables = {"views": views_of(KINDS["press"]), **SCENE}
     return [key for name, table in tables.items() for key in _keys(table, name)]
 
@@ -72,7 +72,7 @@ _PLAIN: dict[type, str] = {
 
 
 def _words(of: Any) -> str:
-    """Return a type and its range in words."""
+    """Return the type of a key and its range in words, such as "odd whole number ≥ 3"."""
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:

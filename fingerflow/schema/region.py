@@ -1,4 +1,4 @@
-"""Regions of a view as runs of pixels, in pure Python: one rule for `process` and for a stream."""
+"""Regions of a view as runs of pixels, in pure Python, so that `process` and a stream use the same rule."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +8,7 @@ Point = tuple[float, float]
 
 
 def region_runs(region: Mapping[str, Any], height: int, width: int) -> Iterator[tuple[int, int, int]]:
-    """Yield (row, first, end) of the runs of pixels in a region, given as a polygon or an ellipse of a scene file."""
+    """Yield runs of pixels (row, first, end) in a region that a scene file gives as a polygon or an ellipse."""
     if region["polygon"] is not None:
         yield from polygon_runs(region["polygon"], height, width)
     else:

@@ -17,7 +17,7 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings [recording]: the frames and the range of them that is used, numbered from 0 as in the file."""
+    """Settings [recording]: file of frames, frame rate, trigger frame, and range of frames used, numbered from 0."""
 
     frames: Path
     frame_rate: float | None
@@ -49,7 +49,7 @@ class Views(Mapping[str, View]):
 
     @property
     def contact(self) -> View:
-        """Return the view in which contact reduces the light."""
+        """Return the view in which skin in contact with the glass appears dark."""
         return self["contact"]
 
     @property
@@ -60,7 +60,7 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings [background]: frames without a finger, and without light. A soft sensor needs neither."""
+    """Settings [background]: recordings without a finger, and without light. A soft sensor needs neither."""
 
     frames: Path | None
     dark: Path | None
@@ -68,7 +68,7 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """Settings [forces]: channels by name or by number from 1; ``tangential`` may have two components.
+    """Settings [forces]: columns of the force file by name or by number from 1; ``tangential`` may have two components.
 
     ``units`` is the unit of all forces, None for the unit in each heading. ``gain``, ``sign`` and ``offset`` are one
     number for all or one each, normal first (`recordings.forces.newtons.Sensor`).
@@ -90,7 +90,8 @@ class ForceSettings:
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """Settings [calibration]: stated in the scene file or read from the file that `fingerflow calibrate` wrote.
+    """Settings [calibration]: image scale and transform, from the scene file or the file that `fingerflow calibrate`
+    wrote.
 
     ``topography_to_contact`` is used only if there is a topography view.
     """
@@ -126,7 +127,7 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """Settings [fields]: deformation of the skin, and its elasticity.
+    """Settings [fields]: how deformation of the skin is computed, and the elastic constants of the skin.
 
     ``reference`` is the instant from which displacement is measured: "onset", "first_frame", a frame number, or a time
     from the trigger, such as "0.25 s".
@@ -170,7 +171,7 @@ class StreamSettings:
 
 @dataclass(frozen=True)
 class Scene:
-    """Recording and all settings that are needed to process it.
+    """Experiment settings: a recording, and everything that is needed to process it.
 
     ``path`` is the scene file, ``kind`` one of `schema.scene_kinds.KINDS`.
     """
@@ -204,16 +205,16 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True if markers on a gel are tracked, else None, so that `has` treats it as a key without a value."""
+        """Return True if markers on a gel are tracked, else None, which `Scene.has` treats as a key without a value."""
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if slip is measured by dense flow, else None, as for `soft_sensor`."""
+        """Return True if dense flow measures slip, else None, which `Scene.has` treats as a key without a value."""
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
-        """Return whether a dotted key of the scene file, such as "forces.tangential", has a value."""
+        """Return whether a key of the scene file, given as a dotted path such as "forces.tangential", has a value."""
         found: Any = self
         for key in need.split("."):
             found = found.get(key) if isinstance(found, Views) else getattr(found, key)
@@ -222,12 +223,12 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Return all settings in effect, by table and key, as JSON text."""
+        """Return all settings, including defaults, by table and key as JSON text."""
         return json.dumps(_plain(self))
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Return the scene of a scene file.
+    """Read a scene file, check it, and return its experiment settings.
 
     Raises:
         FingerflowError: the file is missing or is not valid TOML, a key is unknown, a value has the wrong type or
@@ -241,7 +242,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """Return a scene from the tables and keys of a file that holds several scenes.
+    """Return one scene from its tables and keys in a file that holds several scenes.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -258,7 +259,7 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
 
 
 def scene_of_text(text: str, path: Path) -> Scene:
-    """Return the scene of a text that is to become the file `path`; raise as :func:`load_scene`."""
+    """Return the scene that a text describes before it is written to the file `path`; raise as :func:`load_scene`."""
     try:
         return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
     except SceneError as error:
@@ -266,7 +267,7 @@ def scene_of_text(text: str, path: Path) -> Scene:
 
 
 def scene_of_settings(settings: str) -> Scene:
-    """Return the scene of a result from the text of :meth:`Scene.as_json` in its attribute `settings`.
+    """Return the scene of a result, rebuilt from the result's attribute `settings`, a text of :meth:`Scene.as_json`.
 
     Raises:
         FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
@@ -285,7 +286,7 @@ def scene_of_settings(settings: str) -> Scene:
 
 
 def _without_none(value: Any) -> Any:
-    """Return the settings without those that are None, which stand for keys that were left out."""
+    """Return settings without the keys whose value is None, which were left out in the scene file."""
     if isinstance(value, dict):
         return {name: _without_none(one) for name, one in value.items() if one is not None}
     return value
@@ -320,7 +321,7 @@ def _view(found: Mapping[str, Any]) -> View:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in types that JSON can represent."""
+    """Convert settings to types that JSON can represent."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):

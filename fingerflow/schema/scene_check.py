@@ -36,7 +36,7 @@ MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle 
 
 @dataclass(frozen=True)
 class Problem:
-    """Problem of a key; the message `said` continues a sentence that begins with the key."""
+    """Problem with a key of a scene file; the message `said` continues a sentence that begins with the key."""
 
     keys: Keys
     said: str
@@ -44,7 +44,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Checked:
-    """Checked content of a scene file.
+    """Content of a scene file after validation.
 
     Attributes:
         kind: one of KINDS.
@@ -59,7 +59,7 @@ class Checked:
 
 
 def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tuple[Checked, list[Problem]]:
-    """Check the content of a scene file.
+    """Check the parsed content of a scene file; return it with defaults, and the problems found.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -75,7 +75,7 @@ def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tup
 
 
 class _Check:
-    """Check of one scene file; it collects the first problem found for each key."""
+    """Validation of one scene file; it collects the first problem found for each key."""
 
     def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
         self._written, self._folder, self._reader = written, folder, reader
@@ -88,7 +88,7 @@ class _Check:
         self.given: set[str] = set()
 
     def all(self) -> None:
-        """Check each key by itself, then the rules between the valid ones."""
+        """Check each key of the scene file by itself, then the rules between the keys that are valid."""
         stated, self.kind = self._written.get("kind"), default_kind(self._written)
         if isinstance(stated, str) and stated in KINDS:
             self.kind = stated
@@ -201,14 +201,14 @@ class _Check:
                 self._fits_the_views(rule)
 
     def _blame(self, key: str, said: str) -> None:
-        """Record a problem of a key that involves other keys, with its value as written in the file."""
+        """Record a problem of a key that conflicts with other keys, quoting its value as written in the file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
         self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
     def _at(self, key: str) -> Any:
-        """Return the value of a dotted key; None if it is missing or invalid."""
+        """Return the checked value of a key, given as a dotted path; None if it is missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
             value = None if value is None else value.get(name)
@@ -232,7 +232,7 @@ class _Check:
             self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
-        """Set the scale and the transform from the calibration file, or record what contradicts it."""
+        """Set scale and transform to those of the calibration file; record conflicting keys, or a missing scale."""
         place, _, name = rule.key.rpartition(".")
         if rule.key not in self.given:
             if place in self.given and rule.needed not in self.given:
@@ -277,10 +277,11 @@ class _Check:
             around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Check the transform only if there is another view to map; the scale holds for any part of the frame."""
+        """Check that a scene with two views has a transform between them, and a calibration made with its views."""
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
+        # Without another view to map, the scale is enough: it holds for any part of the frame.
         if from_view == into_view and rule.transform not in self.given:
             return
         name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))
@@ -324,5 +325,5 @@ def _ranges(view: tuple[Pixels, Pixels] | None) -> str:
 
 
 def _option(view: tuple[Pixels, Pixels]) -> str:
-    """Return a view as arguments of the command line."""
+    """Return the rows and columns of a view as arguments of `fingerflow calibrate` on the command line."""
     return " ".join(map(str, (*view[0], *view[1])))

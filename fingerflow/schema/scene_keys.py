@@ -1,4 +1,4 @@
-"""Keys of a scene file: type, range, default and readers that need each, and the rules between keys.
+"""Keys of a scene file: type, range, default and the commands that need the key, and the rules between keys.
 
 A scene has two readers: `process` reads a recording, the player a `stream`. Where their needs differ, the entry of the
 key states it.
@@ -18,7 +18,7 @@ NOBODY = frozenset[Reader]()
 
 @dataclass(frozen=True)
 class NumberType:
-    """Finite number; an integer is accepted, a boolean is not."""
+    """Type of a key whose value is a finite number; an integer is accepted, a boolean is not."""
 
     above: float | None = None
     least: float | None = None
@@ -28,24 +28,24 @@ class NumberType:
 
 @dataclass(frozen=True)
 class Whole(NumberType):
-    """Integer, written without a decimal point; ``odd`` for the side of a window with a middle pixel."""
+    """Type of a key for an integer; ``odd`` if it must be odd, as the side of a window with a middle pixel."""
 
     odd: bool = False
 
 
 @dataclass(frozen=True)
 class Switch:
-    """Boolean: true or false."""
+    """Type of a key whose value is true or false."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """Text without restrictions."""
+    """Type of a key whose value is any text."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several words, or a number."""
+    """Type of a key whose value is one of several words, or a number if ``number`` is set."""
 
     words: tuple[str, ...]
     number: NumberType | None = None
@@ -53,14 +53,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Column:
-    """Name of a column or its number from 1; or, if ``several`` > 1, a list of at most that many."""
+    """Type of a key that names a column, or numbers it from 1; if ``several`` > 1, also a list of up to that many."""
 
     several: int = 1
 
 
 @dataclass(frozen=True)
 class Each:
-    """One number for all forces, or a list of one a force, normal first; each in ``among`` unless that is empty."""
+    """Type of a key with one number for all forces, or a list, normal first; each in ``among`` unless that is empty."""
 
     number: NumberType = NumberType()
     among: tuple[float, ...] = ()
@@ -68,19 +68,19 @@ class Each:
 
 @dataclass(frozen=True)
 class TimeRange:
-    """Interval [t0, t1] in s from the trigger, t0 before t1."""
+    """Type of a key whose value is an interval [t0, t1] in s from the trigger, t0 before t1."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Instant: one of several words, a frame number from 0, or a time from the trigger as text, "0.25 s"."""
+    """Type of a key for an instant: a word, a frame number from 0, or a time from the trigger as text, "0.25 s"."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class File:
-    """Path relative to the scene file; "file.h5::/dataset" is a data set within a file.
+    """Type of a key whose value is a path relative to the scene file; "file.h5::/dataset" is a data set within a file.
 
     Attributes:
         there_for: readers for which the file must exist: a scene may be taken to a lab PC without its recording.
@@ -93,24 +93,24 @@ class File:
 
 @dataclass(frozen=True)
 class PixelRange:
-    """Half-open range [first, end) of pixels."""
+    """Type of a key whose value is a half-open range [first, end) of pixels."""
 
 
 @dataclass(frozen=True)
 class CornersType:
-    """Polygon [[x, y], ...] of three or more corners, px of a view."""
+    """Type of a key whose value is a polygon [[x, y], ...] of three or more corners, px of a view."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Pair of numbers [x, y]."""
+    """Type of a key whose value is a pair of numbers [x, y]."""
 
     each: NumberType = NumberType()
 
 
 @dataclass(frozen=True)
 class TransformType:
-    """Invertible affine transform [[a, b, x], [c, d, y]]."""
+    """Type of a key whose value is an invertible affine transform [[a, b, x], [c, d, y]]."""
 
 
 Type = (
@@ -132,7 +132,7 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """Entry of one setting.
+    """Definition of one key of scene files.
 
     Attributes:
         type: its type and range.
@@ -153,7 +153,8 @@ class SceneKey:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """Table of settings. If left out, it takes its defaults, or is None where a reader needs one of its keys.
+    """Definition of one table of scene files. If left out, it takes its defaults, or is None where a reader needs one
+    of its keys.
 
     Attributes:
         keys: its settings and tables.
@@ -344,7 +345,7 @@ VIEW_HELP = {
 
 
 def views_of(kind: Kind) -> SceneTable:
-    """Return the table [views] of a kind of scene: a rectangle for each view, and a region in it."""
+    """Return the definition of table [views] for a kind of scene: a rectangle and, where allowed, a region per view."""
     keys = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
     tables: dict[str, SceneKey | SceneTable] = {
         name: SceneTable(keys, VIEW_HELP.get(name, ""), BOTH if name in kind.views else STREAM)
@@ -358,7 +359,7 @@ RENAMED = {"stream.rekey_share": "update_share", "stream.rekey_frames": "update_
 
 
 def optional(table: SceneKey | SceneTable) -> SceneTable:
-    """Return the same table with keys that no reader needs."""
+    """Return a copy of the definition of a table in which no key is required."""
     assert isinstance(table, SceneTable)
     keys = {name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()}
     return replace(table, keys=keys, needed_by=NOBODY)
@@ -369,7 +370,7 @@ def optional(table: SceneKey | SceneTable) -> SceneTable:
 
 @dataclass(frozen=True)
 class NotBefore:
-    """Rule: a frame number is not below another."""
+    """Rule: the frame number in `key` is not smaller than that in `first`."""
 
     key: str
     first: str
@@ -377,7 +378,7 @@ class NotBefore:
 
 @dataclass(frozen=True)
 class Together:
-    """Rule: if the key is given, the other must be given too."""
+    """Rule: if `key` is given in the scene file, `other` must be given too."""
 
     key: str
     other: str
@@ -387,7 +388,7 @@ class Together:
 
 @dataclass(frozen=True)
 class NotBoth:
-    """Rule: at most one of two keys is given."""
+    """Rule: at most one of `key` and `other` is given in the scene file."""
 
     key: str
     other: str
@@ -396,7 +397,7 @@ class NotBoth:
 
 @dataclass(frozen=True)
 class OneEach:
-    """Rule: a list has one number a force."""
+    """Rule: a list in `key` has as many numbers as the scene names force channels."""
 
     key: str
     forces: tuple[str, ...]
@@ -404,7 +405,7 @@ class OneEach:
 
 @dataclass(frozen=True)
 class InPlaceOf:
-    """Rule: a calibration file replaces the scale and, if present in it, the transform; else the scale is needed."""
+    """Rule: a calibration file provides scale and transform, which are then not given; without it a scale is needed."""
 
     key: str
     needed: str
@@ -413,7 +414,7 @@ class InPlaceOf:
 
 @dataclass(frozen=True)
 class Inside:
-    """Rule: a rectangle lies within a view."""
+    """Rule: the rectangle in `key` lies within the view `view`."""
 
     key: str
     view: str
@@ -421,14 +422,14 @@ class Inside:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Rule: a table that is given has exactly one of its keys."""
+    """Rule: the table `key`, if given, has exactly one of its keys."""
 
     key: str
 
 
 @dataclass(frozen=True)
 class FitsTheViews:
-    """Rule: the calibration maps the pixels of one view to the other and was made with these views."""
+    """Rule: the calibration has a transform from one view to the other, and was made with the views of the scene."""
 
     key: str
     scale: str

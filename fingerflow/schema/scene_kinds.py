@@ -1,4 +1,4 @@
-"""Kinds of scenes: the views that each has and the stages that are computed by default."""
+"""Kinds of scenes, such as "press" and "slip": which views each has, and which stages run by default."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of scene.
+    """Kind of scene, which determines views and default stages.
 
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.
@@ -32,7 +32,7 @@ class Kind:
     streamed: bool = True
 
     def computes(self, stage: str) -> bool:
-        """Return whether a stage is computed by default."""
+        """Return whether a stage runs by default for scenes of this kind."""
         return (self.stages is None or stage in self.stages) and stage not in self.without
 
 

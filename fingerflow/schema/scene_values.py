@@ -1,4 +1,4 @@
-"""Validation of a single setting: its value, or a message that says what is wrong with it."""
+"""Validation of single settings: conversion of a value, or a message that says why it is invalid."""
 
 import math
 import re
@@ -28,11 +28,11 @@ _TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
-    """Error with a message that follows "KEY is VALUE: "."""
+    """Error for an invalid setting, whose message continues the text "KEY is VALUE: "."""
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """Return a TOML value in the type of its key: numbers as float, ranges and matrices as tuples; raise WrongValue."""
+    """Convert a TOML value by the type of its key: numbers to float, ranges, matrices to tuples; raise WrongValue."""
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -66,7 +66,7 @@ def value_of(kind: Type, value: Any) -> Any:
 
 
 def either(words: Iterable[str]) -> str:
-    """Return words as "'a', 'b' or 'c'"."""
+    """Return alternatives as text: "'a', 'b' or 'c'"."""
     *others, last = map(repr, words)
     return f"{', '.join(others)} or {last}" if others else last
 
@@ -117,7 +117,7 @@ def _choice(kind: Choice, value: Any) -> Any:
 
 
 def seconds_of(moment: Any) -> float | None:
-    """Return the seconds from the trigger that a `Moment` such as "0.25 s" states; None for a word or a frame."""
+    """Return the time in s from the trigger in a text such as "0.25 s"; None for a word or a frame number."""
     found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
     return None if found is None else float(found.group(1))
 

@@ -1,4 +1,4 @@
-"""Values as they are written in TOML files."""
+"""Formatting of Python values as TOML."""
 
 import json
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def toml_value(value: Any) -> str:
-    """Return a string, number, boolean, list or table as a TOML value on one line."""
+    """Format a string, number, boolean, list or table as a TOML value on one line."""
     if isinstance(value, str):  # a TOML basic string is a JSON string in which U+007F is escaped too
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Temporary paths of outputs until they are complete, and removal of those that killed runs have left."""
+"""Temporary paths for outputs that are still being written, and removal of those left by killed runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def unfinished(path: Path) -> Path:
-    """Return a hidden temporary path beside a file or folder, to write it there before it is renamed.
+    """Return a hidden temporary path beside an output file or folder, to be renamed when the output is complete.
 
     Also removes the temporary paths of the same output that killed runs have left. Their names hold the computer and
     the process id; a path is removed only if it is of this computer and its process has ended.
@@ -30,7 +30,7 @@ def unfinished(path: Path) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with its content; ignore failures, because an earlier error is the one to report."""
+    """Remove a file, or a folder with its content, without raising errors, so that an earlier error remains visible."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -39,7 +39,7 @@ def remove(path: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """Return whether a process exists; True where this cannot be checked without harm."""
+    """Return whether the process with this id exists; True on systems where this cannot be checked without harm."""
     if os.name != "posix":
         return True
     try:

@@ -1,4 +1,4 @@
-"""Result variables of a trial: name, dimensions, unit, definition, equation and unit for people, stated once.
+"""Result variables of a trial: name, dimensions, unit, definition, equation and shown unit, stated once.
 
 The data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries.
 Only the standard library is imported, because an exported bundle contains this file.
@@ -190,7 +190,7 @@ TRACKING = (
     ),
     Variable(
         "window_differs_share", FRAME, "1",
-        "share of the points that were followed to where their window differs from that in which they were chosen",
+        "share of the points that were followed to where their window differs from that in which they were seeded",
         equation="mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows "
         "then and now",
         shown_in=PERCENT, label="points rejected by verification",
@@ -462,8 +462,8 @@ STREAM = (
         equation="number of the frame that templates are from",
     ),
     Variable(
-        "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4",
-        equation="count of choices of points",
+        "restart", FRAME, "1", "how often points had been seeded: points of two restarts are different points", "i4",
+        equation="count of seedings",
     ),
     Variable(
         "slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4",
@@ -493,7 +493,7 @@ STREAM = (
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
-    """Return variables by their names."""
+    """Return the variables of several groups as a mapping from name to definition."""
     return {variable.name: variable for group in groups for variable in group}
 
 

@@ -1,4 +1,4 @@
-"""Settings of the C library's allocator for freed memory."""
+"""Setting of the C library's memory allocator so that freed memory stays with the process."""
 
 import ctypes
 import platform

@@ -1,4 +1,4 @@
-"""Cache keys of a trial: digests of file contents, settings and code.
+"""Cache keys of a trial, which decide whether it must run again: digests of file contents, settings and code.
 
 `result` is the key of the whole result; `row` is the key of the row in the table and includes `result`. Which stages
 depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed gauge length reads no image.
@@ -6,7 +6,7 @@ depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -16,6 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.reuse import code_version
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.schema.scene import Scene
+from fingerflow.study.dotted_keys import flattened
 
 _PARTS = ("result", "row")
 _ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that decide what is in a row
@@ -26,7 +27,7 @@ _SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file or folder of a trial.
+    """Input file or folder of a trial, with size, time and digest of its content.
 
     Attributes:
         path: as it was found.
@@ -43,37 +44,33 @@ class InputFile:
 
     @property
     def whole(self) -> bool:
-        """Return True if the digest covers all bytes."""
+        """Return True if the digest covers all bytes of the file, rather than samples."""
         return self.size <= _WHOLE_BYTES
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Digests of result and row; `inputs` by the key of the scene that names each."""
+    """Cache keys of a trial: digests that its result and its row depend on, and its `inputs` by key of the scene."""
 
     result: str
     row: str
     inputs: Mapping[str, InputFile]
 
-    def as_json(self) -> dict[str, Any]:
-        """Return a dictionary for `row.json`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> "Keys":
-        """Return the keys from the output of `as_json`; raises KeyError or TypeError for anything else."""
+        """Return the cache keys stored in `row.json`; raise KeyError or TypeError if the JSON holds anything else."""
         inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
         return cls(found["result"], found["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
-        """Return the keys of the scene whose files are not certainly unchanged."""
+        """Return those keys of the scene whose input files have changed, or may have changed."""
         names = dict.fromkeys((*self.inputs, *now.inputs))
         both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
 
 
 def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
-    """Compute the keys of a trial in its current state.
+    """Compute the cache keys of a trial from its present files, settings and code.
 
     A file that `earlier` lists with the same size and modification time is not read again.
 
@@ -84,15 +81,17 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     settings["stream"].pop("output", None)
     settings["calibration"].pop("file", None)
     paths = {str(path) for path in scene.files()[1:]}
-    named = dict(_named(settings, paths))
+    values = dict(flattened(settings))
+    named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
     inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
-    contents = {name: [one.size, one.digest] for name, one in inputs.items()}
-    result = digest_of(_without(settings, paths), contents, code_of("result"))
+    # Files count by their content, not by their names.
+    values |= {name: [one.size, one.digest] for name, one in inputs.items()}
+    result = digest_of(values, code_of("result"))
     return Keys(result, digest_of(result, code_of("row")), inputs)
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return the current state of a file or folder; the earlier digest is reused if size and time are unchanged."""
+    """Return the present state of an input file or folder; a digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -108,39 +107,22 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is certainly unchanged: a digest of samples counts only with an unchanged time."""
+    """Return True if a file is unchanged: by its digest, and by its time as well if only samples were digested."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 
 
 def all_codes() -> dict[str, str]:
-    """Return `code_of` by part."""
+    """Return the digests of the code behind a result and behind a row, by name."""
     return {part: code_of(part) for part in _PARTS}
 
 
 @cache
 def code_of(part: str) -> str:
-    """Return the digest of the code behind a part, "result" or "row"."""
+    """Return a digest of the code that computes a part of a trial, "result" or "row"."""
     if part == "result":
         return code_version()
     return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
-
-
-def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the files among settings by their dotted keys."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _named(value, paths, f"{place}{name}.")
-        elif isinstance(value, str) and value in paths:
-            yield f"{place}{name}", value
-
-
-def _without(value: Any, paths: set[str]) -> Any:
-    """Return settings without file names; files count by their content."""
-    if isinstance(value, dict):
-        kept = {name: one for name, one in value.items() if not (isinstance(one, str) and one in paths)}
-        return {name: _without(one, paths) for name, one in kept.items()}
-    return value
 
 
 def _files_of(file: Path) -> list[Path]:
@@ -152,7 +134,7 @@ def _files_of(file: Path) -> list[Path]:
 
 
 def _content(file: Path, size: int) -> Iterator[bytes]:
-    """Yield name and size, then all bytes or samples."""
+    """Yield name and size of a file, then all of its bytes or, for a large file, samples."""
     yield f"{file.name} {size} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:

@@ -45,7 +45,7 @@ def over_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Yield the results of tasks as they complete.
+    """Run tasks on the workers of a cluster, and yield their results in order of completion.
 
     Args:
         act: function of a module that a worker runs.
@@ -67,19 +67,19 @@ def over_workers(
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
-            with _client(scheduler, many, threads_each(scheduler, many), act.__module__) as client:
+            with _client(scheduler, many, threads_each(scheduler, many)) as client:
                 for result in _go_through(client, act, of_round, of_error):
                     bar.update(trials_of(result))
                     yield result
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """Return the number of workers: as requested, else one per core; not more than tasks."""
+    """Return the number of workers to start: as requested, else one per core; at most one per task."""
     return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Return the threads per worker: this computer's cores divided among its workers, or one in a cluster."""
+    """Return the number of threads per worker: this computer's cores shared among workers, or one on a cluster."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -124,7 +124,7 @@ def _go_through(
 
 
 class _Workers:
-    """Number of a cluster's workers, which may change during a run.
+    """Counter of the workers of a cluster, whose number may change during a run.
 
     A cluster without workers may still get some: the run then waits, with a warning.
     """
@@ -141,7 +141,7 @@ class _Workers:
         self._ended.set()
 
     def room(self) -> int:
-        """Return the number of tasks that may be in flight."""
+        """Return how many tasks may be submitted to the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
     def _look(self) -> None:
@@ -161,11 +161,8 @@ class _Workers:
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> Iterator[Any]:
-    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped.
-
-    `loads` is the module that a worker on this computer has imported at its start.
-    """
+def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
+    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped."""
     try:
         import dask
         from distributed import Client, LocalCluster, Security
@@ -204,7 +201,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
-                    _load_once(loads)
+                    _load_once()
                     # A scheduler runs what it is sent: without a certificate, which only this process and its workers
                     # have, every user of this computer could run commands as the one who started the study.
                     security = Security.temporary()
@@ -233,13 +230,13 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 cluster.close(timeout=10)
 
 
-def _load_once(module: str) -> None:
-    """Make workers fork from one process that has imported this module: the import in each would take seconds."""
+def _load_once() -> None:
+    """Make workers fork from one process that has imported what they need: the imports in each would take seconds."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
     if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["fingerflow.study.preload", module])
+        context.set_forkserver_preload(["fingerflow.study.preload"])
 
 
 def _deployment(name: str) -> Callable[[], Any]:
@@ -255,7 +252,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 @contextmanager
 def _interrupt_once() -> Iterator[None]:
-    """Make SIGTERM end a run as Ctrl-C does."""
+    """Context in which SIGTERM ends a run as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

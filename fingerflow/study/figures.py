@@ -1,4 +1,4 @@
-"""Figures of a study: those of the paper's supplement that its table supports, and curves against force."""
+"""Figures of a study: those of the paper's supplement that its table of trials supports, and curves against force."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -34,7 +34,7 @@ _MOST_NAMED = 12  # most conditions in a legend
 def write_figures(
     frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE
 ) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Write one PNG per figure into a folder; return name, file ("" if not drawn) and what was left out of each.
+    """Write the figures of a study as PNG; return for each its name, its file ("" if not drawn), and what was left out.
 
     Args:
         frame: the table of trials.
@@ -74,7 +74,7 @@ def write_figures(
 
 
 def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
-    """Draw a metric against normal force, one line per condition, with its 95 % band by participants."""
+    """Draw the mean curve of a metric against normal force for each condition, with a 95 % band over participants."""
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
     shown = NUMBERS[metric]
@@ -102,6 +102,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if a sentence about missing panels refers only to panels that curves replace."""
+    """Return True if all panels that a sentence reports as missing are replaced by curves."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

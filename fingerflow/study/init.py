@@ -1,8 +1,7 @@
-"""`fingerflow study init`: a manifest generated from the files in a folder."""
+"""Command `fingerflow study init`: writes a manifest from the files found in a folder."""
 
 import csv
 import io
-import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -16,7 +15,9 @@ from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
 from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.toml_value import toml_value
-from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, read_rows
+from fingerflow.schema.trial_rows import read_rows
+from fingerflow.study.dotted_keys import flattened, nested
+from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, relative
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
 _NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")
@@ -29,7 +30,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Files written by `init_study`: the manifest and its table; number of trials and what is still to be filled in."""
+    """Outcome of `init_study`: written manifest and table, number of trials, and what the user has to fill in."""
 
     manifest: Path
     table: Path
@@ -38,7 +39,7 @@ class FoundFiles(NamedTuple):
 
 
 def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
-    """Write `study.toml` and `trials.csv` into a folder of recordings.
+    """Write `study.toml` and `trials.csv` for the recordings found in a folder.
 
     If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
     columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared
@@ -96,10 +97,10 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
     rows = []
     for file in scenes:
         written = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-        values = dict(_flattened(written))
+        values = dict(flattened(written))
         for name, value in values.items():
-            if isinstance(_key(name), File):
-                values[name] = _relative(file.parent / value, folder)
+            if isinstance(_type_of(name), File):
+                values[name] = relative(file.parent / value, folder)
         flat.append(values)
         rows.append(_guessed(file.parent.relative_to(folder) if file.stem == "scene" else file.relative_to(folder)))
     common = {name: value for name, value in flat[0].items() if all(one.get(name) == value for one in flat)}
@@ -109,14 +110,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
                 column = {"recording.frames": RECORDING, "forces.file": FORCES}.get(name, name)
                 row[column] = value if isinstance(value, str) else toml_value(value)
     common.pop("recording.frames", None)
-    shared: dict[str, Any] = {}
-    for name, value in common.items():
-        *tables, last = name.split(".")
-        place = shared
-        for part in tables:
-            place = place.setdefault(part, {})
-        place[last] = value
-    return rows, shared
+    return rows, nested(common)
 
 
 def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
@@ -135,13 +129,13 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
         )
     rows = []
     for file in recordings:
-        row = _guessed(file.relative_to(folder)) | {RECORDING: _relative(file, folder)}
+        row = _guessed(file.relative_to(folder)) | {RECORDING: relative(file, folder)}
         beside = [one for one in files if one.parent == file.parent and one.suffix.lower() in READER_OF and one != file]
         same = [one for one in beside if one.stem == file.stem]
         alone = [one for one in recordings if one.parent == file.parent] == [file]
         forces = same or (beside if alone else [])
         if len(forces) == 1:
-            row[FORCES] = _relative(forces[0], folder)
+            row[FORCES] = relative(forces[0], folder)
         rows.append(row)
     return rows, {}
 
@@ -167,27 +161,12 @@ def _guessed(place: Path) -> dict[str, str]:
     return found
 
 
-def _flattened(written: Mapping[str, Any], place: str = "") -> Iterable[tuple[str, Any]]:
-    """Yield values by their dotted keys."""
-    for name, value in written.items():
-        if isinstance(value, dict):
-            yield from _flattened(value, f"{place}{name}.")
-        else:
-            yield f"{place}{name}", value
-
-
-def _key(dotted: str) -> Any:
-    known: Mapping[str, Any] = SCENE
+def _type_of(dotted: str) -> Any:
+    """Return the type of a key of the scene; None if there is none."""
+    found: SceneKey | SceneTable | None = SceneTable(SCENE)
     for part in dotted.split("."):
-        found = known.get(part)
-        if found is None:
-            return None
-        known = found.keys if isinstance(found, SceneTable) else {}
+        found = found.keys.get(part) if isinstance(found, SceneTable) else None
     return found.type if isinstance(found, SceneKey) else None
-
-
-def _relative(file: Path, folder: Path) -> str:
-    return Path(os.path.relpath(file, folder)).as_posix()
 
 
 def _manifest_text(shared: Mapping[str, Any]) -> str:
@@ -208,7 +187,7 @@ results = "results"           # where results, the table of trials and the pages
 
 
 def _under_scene(text: str) -> str:
-    """Return a scene file as tables below [scene], without the keys that each trial sets itself."""
+    """Convert the text of a scene file to tables below [scene], without keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:
         if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):

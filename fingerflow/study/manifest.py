@@ -1,7 +1,7 @@
-"""`study.toml`: the recordings of a study, their shared scene, and the data known about each trial."""
+"""Manifest of a study, `study.toml`: its recordings, their shared scene, and what is known about each trial."""
 
-import csv
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -15,6 +15,8 @@ from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.schema.trial_columns import OF_RESULTS
+from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
+from fingerflow.study.dotted_keys import nested
 
 #: Columns of a table of trials that the study reads; a column name with a dot is a key of the scene.
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
@@ -22,15 +24,13 @@ RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
 )  # fmt: skip
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
-_ANSWERS = {"1": True, "true": True, "0": False, "false": False}
-_NO_ANSWER = ("", "nan", "na")
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
 _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 
 @dataclass(frozen=True)
 class TrialEntry:
-    """One row of the manifest.
+    """One trial of a study: a row of the table of trials in the manifest.
 
     Attributes:
         name: of its folder among the results, unique in the study.
@@ -53,7 +53,7 @@ class TrialEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A study; `shared` is its scene as parsed from TOML, whose keys each trial may replace."""
+    """Manifest of a study; `shared` is the scene of all trials as parsed from TOML, whose keys a trial may replace."""
 
     path: Path
     results: Path
@@ -62,12 +62,12 @@ class Manifest:
     design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; raises FingerflowError with the place of the row, key, value and remedy."""
+        """Return the scene of a trial; raise FingerflowError with row, key, value and remedy if it is invalid."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
     def by_name(self) -> dict[str, TrialEntry]:
-        """Return the trials by the names of their folders."""
+        """Return the trials by name, which is also the name of their folder."""
         return {entry.name: entry for entry in self.trials}
 
 
@@ -130,28 +130,14 @@ def load_manifest(path: str | Path) -> Manifest:
     return Manifest(path, results, shared, _entries(rows, places, path), design)
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as dictionaries by column name; raises FingerflowError if it is no table."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            heading, *rows = [row for row in csv.reader(file) if row] or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FingerflowError(f"{path} cannot be read ({reason}); give a CSV file in UTF-8") from None
-    names = [name.strip() for name in heading]
-    if not rows or "" in names or len(set(names)) < len(names):
-        raise FingerflowError(
-            f"{path}: has the columns {', '.join(map(repr, names)) or 'none'} and {len(rows)} rows; give a heading of "
-            f"different names and one row a trial"
-        )
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise FingerflowError(f"{path}, row {number}: {len(row)} cells, the heading has {len(names)}")
-    return [{name: cell.strip() for name, cell in zip(names, row, strict=True)} for row in rows]
+def relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, which need not contain it, with slashes."""
+    return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each row of trials its row in a table of answers, matched by participant and trial; {} without one.
+    """Return the answer of each trial, as a row of the file of answers for the same participant and trial; {} without
+    one.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -175,7 +161,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row for every file that matches a pattern with names in braces, sorted by file name."""
+    """Return a row of trials for each file name that matches a pattern with names in braces, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -240,20 +226,13 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
         if not row[name]:
             raise FingerflowError(f"{place}: {name} is empty; fill it in, or remove the row")
     answer = row.get(ANSWER, "").lower()
-    if answer not in _ANSWERS and answer not in _NO_ANSWER:
+    if answer not in ANSWERS and answer not in NOTHING:
         raise FingerflowError(
             f"{place}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
             f"nothing where there is no answer"
         )
-    settings: dict[str, Any] = {}
-    for name, cell in row.items():
-        key = _KEY_OF.get(name, name)
-        if "." in key and cell:
-            table = settings
-            *tables, last = key.split(".")
-            for part in tables:
-                table = table.setdefault(part, {})
-            table[last] = _value(cell) if name not in _KEY_OF else cell
+    settings = {_KEY_OF[name]: row[name] for name in _KEY_OF if row.get(name)}
+    settings |= {name: _value(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
@@ -262,14 +241,14 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
         participant=row[PARTICIPANT],
         trial=trial,
         condition=row[CONDITION],
-        answer=_ANSWERS.get(answer),
+        answer=ANSWERS.get(answer),
         others={name: cell for name, cell in row.items() if name not in KNOWN and "." not in name},
-        settings=settings,
+        settings=nested(settings),
     )
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Raise FingerflowError for a column that is no key of a scene; keys below `views` are not checked here."""
+    """Check that a column names a key of the scene, else raise FingerflowError; keys below `views` always pass."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -281,7 +260,7 @@ def _check_key(dotted: str, place: str) -> None:
 
 
 def _value(cell: str) -> Any:
-    """Parse a cell as a TOML value (number, list, true or false); anything else is text."""
+    """Parse a cell of the table as a TOML value (number, list, true or false); any other cell is text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
     except tomllib.TOMLDecodeError:
@@ -289,7 +268,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Escape all characters but letters, digits, dots and dashes by their number: different texts stay different."""
+    """Return a file name for a text: characters other than letters, digits, dots and dashes are escaped uniquely."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

@@ -1,8 +1,8 @@
-"""Index page of a study: every trial with its thumbnail and report, the figures and the statistics."""
+"""Index page of a study: all trials with thumbnails and reports, figures and statistics."""
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -34,16 +34,8 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 
 @dataclass(frozen=True)
-class PageJob:
-    """A trial whose report and thumbnail are to be written; the manifest holds this trial alone."""
-
-    manifest: Manifest
-    entry: TrialEntry
-
-
-@dataclass(frozen=True)
 class Outlier:
-    """Distance of a trial from the others of its condition, in robust deviations, and the metric that shows it."""
+    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that has it."""
 
     deviations: float
     metric: str
@@ -52,7 +44,8 @@ class Outlier:
 def write_study_report(
     manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
 ) -> Path:
-    """Write `index.html`, `statistics.json` and `figures` into the results folder, and the report of each trial.
+    """Write `index.html`, `statistics.json` and `figures` of a study into its results folder, and the report of each
+    trial.
 
     Reports and thumbnails newer than the row of their trial are kept; workers write the others, as in
     `run_study`. Figures and statistics use the table alone.
@@ -64,20 +57,15 @@ def write_study_report(
     tables = write_tables(manifest)
     frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
     sample = sample_of(frame)
-    waiting = list(_without_pages(manifest))
-    said = [
-        one
-        for one in over_workers(
-            write_page,
-            ((job.entry.name, job) for job in waiting),
-            len(waiting),
-            lambda name, error: f"{name}: {error}",
-            scheduler,
-            workers,
-            progress,
-        )
-        if one
-    ] if waiting else []  # fmt: skip
+    waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
+
+    def of_error(name: str, error: BaseException) -> str:
+        return f"{name}: {error}"
+
+    written = over_workers(
+        write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
+    )
+    failed = [said for said in written if said]
     figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design)
     statistics = statistics_of(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
@@ -93,54 +81,45 @@ def write_study_report(
         figures=figures,
         statistics=statistics,
         metrics=NUMBERS,
-        pages_failed=said,
+        pages_failed=failed,
     )
     path = manifest.results / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
 
 
-def write_page(job: PageJob) -> str:
-    """Write `report.html` and `thumbnail.jpg` of a trial; return an error message, "" on success."""
-    folder = job.manifest.results / job.entry.name
+def write_page(manifest: Manifest) -> str:
+    """Write `report.html` and `thumbnail.jpg` of the only trial of a manifest; return an error, "" on success."""
+    (entry,) = manifest.trials
+    folder = manifest.results / entry.name
     stored = read_row(folder)
     if stored is None or stored.result is None:
         return ""
     try:
-        scene = job.manifest.scene_of(job.entry)
+        scene = manifest.scene_of(entry)
         write_report(load_result(folder / stored.result), scene, folder, video=False)
         _write_thumbnail(folder / stored.result, scene, folder / "thumbnail.jpg")
     except FingerflowError as error:
-        return f"{job.entry.name}: {error}"
+        return f"{entry.name}: {error}"
     return ""
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """Return for each trial its largest distance from the median of its condition, and the metric that has it.
+    """Return for each trial the metric that deviates most from the median of its condition, and by how much.
 
     The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """
-    best = np.zeros(len(frame))
-    by = np.full(len(frame), "", dtype=object)
-    for metric in METRICS:
-        if metric not in frame:
-            continue
-        values = frame[metric].to_numpy(np.float64)
-        for condition in frame["condition"].unique():
-            own = (frame["condition"] == condition).to_numpy() & np.isfinite(values)
-            if own.sum() < _FEWEST_ALIKE:
-                continue
-            away = np.abs(values[own] - np.median(values[own]))
-            spread = _MAD * np.median(away)
-            if spread > 0:
-                score = np.zeros(len(frame))
-                score[own] = away / spread
-                by[score > best] = metric
-                best = np.maximum(best, score)
-    return [Outlier(float(score), str(metric)) for score, metric in zip(best, by, strict=True)]
+    metrics = [name for name in METRICS if name in frame]
+    conditions = frame["condition"]
+    away = (frame[metrics] - frame.groupby(conditions)[metrics].transform("median")).abs()
+    alike = away.groupby(conditions)
+    spread = _MAD * alike.transform("median")
+    score = (away / spread).where((spread > 0) & (alike.transform("count") >= _FEWEST_ALIKE)).fillna(0.0)
+    found = zip(score.max(axis=1), score.idxmax(axis=1), strict=True)
+    return [Outlier(float(most), str(metric) if most > 0 else "") for most, metric in found]
 
 
-def _without_pages(manifest: Manifest) -> Iterator[PageJob]:
+def _without_pages(manifest: Manifest) -> Iterator[TrialEntry]:
     for entry in manifest.trials:
         folder = manifest.results / entry.name
         stored = read_row(folder)
@@ -149,8 +128,7 @@ def _without_pages(manifest: Manifest) -> Iterator[PageJob]:
         row = (folder / "row.json").stat().st_mtime_ns
         made = [folder / "report.html", folder / "thumbnail.jpg"]
         if not all(one.exists() and one.stat().st_mtime_ns >= row for one in made):
-            alone = Manifest(manifest.path, manifest.results, manifest.shared, (entry,))
-            yield PageJob(alone, entry)
+            yield entry
 
 
 def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
@@ -167,7 +145,7 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
 
 
 def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
-    """Return the page's data of each trial: failed trials first, then by decreasing outlier distance."""
+    """Return the entries of the trials on the page: failed trials first, then by decreasing outlier distance."""
     rows = []
     for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name

@@ -1,4 +1,4 @@
-"""One trial's result as a row of numbers, and as curves against force on a common grid."""
+"""Summary of one trial's result: a row of numbers, and curves against force on a common grid."""
 
 import json
 from functools import cached_property
@@ -20,14 +20,15 @@ FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
 #: Metrics that have a curve.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
+#: Series of the table that are no variables of a result.
+_COMPUTED = ("strain", "strain_across", "strain_rate", "force_angle", "coverage")
 #: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
-    "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
-    "divergence": "median_divergence", "divergence_std": "median_divergence_std",
-    "divergence_rate": "median_divergence_rate", "curl": "median_curl", "curl_std": "median_curl_std",
-    "strain_energy": "strain_energy", "strain_energy_std": "strain_energy_std",
-    "strain_energy_rate": "strain_energy_rate", "global_displacement": "global_displacement",
-}  # fmt: skip
+    f"{one.name}{suffix}": f"{one.variable}{suffix}"
+    for one in AT_MOMENTS
+    if one.name not in _COMPUTED
+    for suffix in (("", "_std") if one.has_std else ("",))
+}
 READ = (
     *_SERIES.values(),
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
@@ -44,7 +45,7 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Compute the row of a trial by the names of `columns.NUMBERS` and `FACTS`, and its curves on `FORCE_GRID`.
+    """Compute the row of a trial (`columns.NUMBERS` and `FACTS`) from its result, and its curves on `FORCE_GRID`.
 
     None means unknown: not measured, its moment did not occur, or a frame there is not usable.
 
@@ -72,7 +73,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Series of a result by the names of the table, and its moments."""
+    """Time series of a trial by their names in the table, and the moments at which the row states their values."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -92,7 +93,7 @@ class _Trial:
         return np.asarray(self._result[name].values) if name in self._result else otherwise
 
     def _values(self, name: str) -> Series | None:
-        """Return a variable with NaN in unusable frames; None if the result has no such variable."""
+        """Return the series of a variable with NaN in unusable frames; None if the result lacks the variable."""
         if name not in self._result:
             return None
         values = np.array(self._result[name].values, dtype=np.float64)
@@ -155,7 +156,7 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the moment at which the normal force first reaches a value, between onset and maximum."""
+        """Return the moment between onset and maximum at which the normal force first reaches `force`."""
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -170,11 +171,11 @@ class _Trial:
 
     @cached_property
     def _grid(self) -> list[Moment | None]:
-        """Return the crossings of `FORCE_GRID`, common to all curves."""
+        """Return the moments at which the normal force first reaches each force of `FORCE_GRID`."""
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return values on `FORCE_GRID`, None at forces that are not reached; None if nothing is known."""
+        """Return a series at the forces of `FORCE_GRID`, None where not reached; None if nothing is known."""
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
@@ -186,7 +187,7 @@ class _Trial:
         return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
 
     def of_the_whole(self) -> dict[str, float]:
-        """Return the numbers of the whole trial, which have no moment."""
+        """Return numbers that describe the whole trial, such as its duration, rather than a moment."""
         found: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:
             return found
@@ -233,7 +234,7 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return counts, warnings and verdict: all columns that are not numbers with a unit."""
+        """Return the columns that are not numbers with a unit: counts, warnings and verdict."""
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

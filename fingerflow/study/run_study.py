@@ -1,4 +1,4 @@
-"""Selection of the trials to run, with reasons, and their execution on Dask."""
+"""Selection of the trials of a study that must run, with reasons, and their execution on Dask."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ _TOGETHER = 8  # trials batched on an accelerator
 
 @dataclass(frozen=True)
 class Planned:
-    """A trial to be run: from which part on, and why."""
+    """Trial that must run: from which part on ("result" or "row"), and why."""
 
     entry: TrialEntry
     redo: Part
@@ -34,7 +34,7 @@ class Summary:
     interrupted: str = ""
 
     def __str__(self) -> str:
-        """Return one line of counts, and one for each failure."""
+        """Return a text with one line of counts, and one line for each failed trial."""
         counts = Counter(one.status for one in self.outcomes)
         left = self.planned - len(self.outcomes)
         lines = [
@@ -76,7 +76,7 @@ def run_study(
     progress: bool = True,
     together: int | None = None,
 ) -> Summary:
-    """Run the trials of `plan_run`, in processes on this computer or on a cluster.
+    """Run the trials selected by `plan_run`, in processes on this computer or on a cluster.
 
     Each task is one trial, or a batch of trials. Finished trials are stored in the results folder: Ctrl-C or the loss
     of a worker or of the scheduler ends the run without losing them.
@@ -123,7 +123,7 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Yield outcomes by groups of at most ``size`` trials.
+    """Run trials in groups of at most ``size``, and yield the outcomes of each group.
 
     Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
     that was too small for all may suffice for one.
@@ -134,7 +134,7 @@ def _run_groups(
     groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
     threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
     jobs = (
-        (name, [Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads) for one in group])
+        (name, [Job(replace(manifest, trials=(one.entry,)), one.redo, codes, threads) for one in group])
         for name, group in groups.items()
     )
 
@@ -148,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the number of trials to batch; accelerators of a cluster's workers are not known here."""
+    """Return the default size of trial groups, which is above 1 only with a GPU here and without a cluster."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
@@ -183,7 +183,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome of a task that no worker could finish; raises FingerflowError if the worker is at fault."""
+    """Return the outcome for a trial that no worker could finish; raise FingerflowError if the worker is at fault."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

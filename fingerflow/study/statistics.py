@@ -1,8 +1,8 @@
-"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and the trials left out of them."""
+"""Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,8 @@ from fingerflow.models.observer import (
     repeated_anova,
     spearman,
 )
-from fingerflow.report.trial_metrics import METRICS
+from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.trial_files import MEASURED
 
@@ -33,7 +34,7 @@ _LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force ra
 
 @dataclass(frozen=True)
 class Counted:
-    """Number of trials, and how many each rule has left out."""
+    """Number of trials of a study, of those that each rule excludes, and of those used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -42,7 +43,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials for figures and statistics; if `answered` is False, `answer` is meaningless."""
+    """Trials that figures and statistics use; if `answered` is False, no answers exist and `answer` is meaningless."""
 
     trials: Trials
     answered: bool
@@ -50,7 +51,7 @@ class Sample:
 
 
 def sample_of(frame: Any) -> Sample:
-    """Return the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
+    """Select the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
 
     Raises FingerflowError if no trial has been measured.
     """
@@ -71,7 +72,7 @@ def sample_of(frame: Any) -> Sample:
     return Sample(read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum())))
 
 
-def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
+def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     """Compute all statistics as plain numbers, for `statistics.json` and the page.
 
     - `counted`: numbers of trials, left out by each rule and used.
@@ -90,7 +91,7 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
 
     Args:
         sample: of `sample_of`.
-        resamples, seed: of intervals and tests.
+        resamples: of intervals and tests.
     """
     trials = sample.trials
     found: dict[str, Any] = {
@@ -103,14 +104,15 @@ def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[
                 if name in trials.metrics and _FIRST in trials.metrics
             }
         ),
-        "groups": _groups(trials, resamples, seed),
+        "groups": _groups(trials, resamples),
     }
     if sample.answered:
         found["by_answer"] = _anovas(trials, trials.answer)
         found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in trials.metrics.items()})
         found["force_rate"] = _of_force_rate(trials)
-        found["observer"] = _observed(trials, resamples, seed)
-    return {name: _plain(value) for name, value in found.items()}
+        found["observer"] = _observed(trials, resamples)
+    plain: dict[str, Any] = json_value(found)
+    return plain
 
 
 def holm(p: Mapping[str, float]) -> dict[str, float]:
@@ -140,12 +142,10 @@ def _anovas(trials: Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
-    without = trials
-    if "global_displacement" in trials.metrics:
-        without = leave_out_moved(trials)
+def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
+    without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
-    summaries = observe(replace(without, metrics=shown), resamples=resamples, seed=seed)
+    summaries = observe(replace(without, metrics=shown), resamples=resamples)
     permutations = _corrected({name: summary.permutation for name, summary in summaries.items()})
     found = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
@@ -159,20 +159,13 @@ def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
         }
         if first is not None and name != _FIRST:
             found[name]["beside_divergence"] = compare_auc(
-                without.split(name), first, participants=without.participants(), resamples=resamples, seed=seed
+                without.split(name), first, participants=without.participants(), resamples=resamples
             )
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
 def _of_shares(trials: Trials, values: NDArray[np.float64]) -> Correlation:
-    medians, shares, who = [], [], []
-    for participant in np.unique(trials.participant):
-        for condition in np.unique(trials.condition):
-            own = (trials.participant == participant) & (trials.condition == condition) & np.isfinite(values)
-            if own.any():
-                medians.append(float(np.median(values[own])))
-                shares.append(float(trials.answer[own].mean()))
-                who.append(participant)
+    medians, shares, _, who = dots_of(trials, values)
     return spearman(medians, shares, participants=who)
 
 
@@ -185,34 +178,9 @@ def _of_force_rate(trials: Trials) -> Any:
     return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 
-def _groups(trials: Trials, resamples: int, seed: int) -> Any:
+def _groups(trials: Trials, resamples: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
-    names = np.unique(trials.participant)
-    medians = [_median(trials.metrics[_FIRST][trials.participant == name]) for name in names]
-    divergence = NUMBERS[_FIRST]
-    shown = divergence.shown_values(np.array(medians))
-    groups = participant_groups(shown, resamples, seed)
-    return {
-        **asdict(groups), "names": names.tolist(), "medians": shown.tolist(), "unit": divergence.shown_unit.name
-    }  # fmt: skip
-
-
-def _median(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to types that JSON can represent; NaN becomes None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    names, medians = participant_medians(trials, _FIRST)
+    groups = participant_groups(medians, resamples)
+    return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

@@ -1,6 +1,5 @@
-"""Table of trials, and curves averaged by condition, from the stored rows of runs."""
+"""Table of trials of a study, and curves averaged by condition, from the stored rows of all trials."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
-from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.manifest import Manifest, TrialEntry, relative
 from fingerflow.study.row import CURVES, FORCE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
@@ -78,7 +77,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return the rows of the table: the manifest's columns of each trial, its facts, then its numbers, NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -88,8 +87,8 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
         facts = {
             "status": NOT_RUN if found is None else found.status,
             "reason": "" if found is None else found.reason,
-            "recording": _relative(recording, manifest.path.parent),
-            "result": None if result is None else _relative(result, manifest.path.parent),
+            "recording": relative(recording, manifest.path.parent),
+            "result": None if result is None else relative(result, manifest.path.parent),
             **{name: known.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
         }
         rows.append(
@@ -107,7 +106,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return areas over the median of their participant, by column name; NaN where the median is 0 or unknown."""
+    """Return contact areas divided by the median of their participant, by column name; NaN if that is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -168,7 +167,3 @@ def _in_order(text: str) -> tuple[float, str]:
         return float(text), text
     except ValueError:
         return np.inf, text
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()

@@ -1,4 +1,4 @@
-"""Execution of one trial by a worker: paths in, a short outcome out; everything else is written to its folder."""
+"""Execution of trials by a worker, which takes paths, writes to the trial's folder and returns a short outcome."""
 
 import errno
 import gc
@@ -24,8 +24,7 @@ from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.cache_keys import Keys, all_codes, code_of, keys_of, look_at
-from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.processor import Share
+from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 
@@ -39,14 +38,12 @@ class Job:
 
     Attributes:
         manifest: of this trial alone.
-        entry: the trial.
         redo: "everything", what settings or code have "changed", or the "row" alone.
         codes: the client's `code_of` by part, which the worker's must equal.
         threads: number of threads that a worker uses.
     """
 
     manifest: Manifest
-    entry: TrialEntry
     redo: Part
     codes: Mapping[str, str]
     threads: int
@@ -54,18 +51,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a job: its status and reason, wall-clock and processor seconds."""
+    """Result of a job: its status and reason, and the processor seconds of its process over the trials of a batch."""
 
     name: str
     status: str
     reason: str = ""
     passing: bool = False
-    seconds: float = 0.0
     cpu_seconds: float = 0.0
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process trials in one batch and write the row of each, or the reason why there is none.
+    """Process several trials in one batch, and write the row of each, or the reason for its failure.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
@@ -73,7 +69,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Run one trial of a batch of ``together`` trials, as steps."""
+    """Process one trial as a generator of steps, which run in turns with others of a batch of ``together`` trials."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -81,20 +77,17 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             f"the same version of fingerflow on both"
         )
     _settle(job.threads)
-    with Share() as share:
-        return (yield from _run(job, together, share))
-
-
-def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
-    started, wall = datetime.now(UTC), time.perf_counter()
-    folder = job.manifest.results / job.entry.name
+    started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
+    (entry,) = job.manifest.trials
+    folder = job.manifest.results / entry.name
     keys: Keys | None = None
+    trace: dict[str, str] = {}
     try:
-        scene = job.manifest.scene_of(job.entry)
+        scene = job.manifest.scene_of(entry)
         stored = read_row(folder)
         keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
-            return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
+            return Outcome(entry.name, MEASURED, "was done by another run meanwhile")
         path, earlier = folder / result_name(keys), None
         if job.redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
             earlier = folder / stored.result
@@ -112,12 +105,10 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
         trial = TrialRow(FAILED, reason, _is_passing(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
-    else:
-        trace = {}
-    seconds, cpu_seconds = time.perf_counter() - wall, share.seconds()
+    cpu_seconds = (time.process_time() - cpu) / together
     made = {
         "started": started.isoformat(timespec="seconds"),
-        "seconds": round(seconds, 3),
+        "seconds": round(time.perf_counter() - wall, 3),
         "cpu_seconds": round(cpu_seconds, 3),
         "redone_from": job.redo,
         "threads": job.threads,
@@ -127,21 +118,21 @@ def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
         **trace,
     }
     try:
-        write_row(folder, TrialRow(**{**trial.__dict__, "made": made}))
+        write_row(folder, replace(trial, made=made))
     except FingerflowError as error:  # without a row the trial is run again
-        return Outcome(job.entry.name, FAILED, str(error), True, seconds, cpu_seconds)
-    return Outcome(job.entry.name, trial.status, trial.reason, trial.passing, seconds, cpu_seconds)
+        return Outcome(entry.name, FAILED, str(error), True, cpu_seconds)
+    return Outcome(entry.name, trial.status, trial.reason, trial.passing, cpu_seconds)
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Return True if a row and its result belong to the trial in its current state."""
+    """Return True if a stored row and its result are valid for the trial's present inputs, settings and code."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)
 
 
 def _is_passing(error: BaseException) -> bool:
-    """Return True if the error is transient: the same trial may succeed another time."""
+    """Return True if an error is transient, such as lack of memory, so that the same trial may succeed another time."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
         or (isinstance(one, OSError) and one.errno in _PASSING)
@@ -158,7 +149,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Set a worker's threads and memory, once; exclude loaded objects from garbage collection."""
+    """Set the threads and memory allocator of a worker, once, and exclude loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

@@ -18,7 +18,7 @@ Part = Literal["everything", "changed", "row"]
 
 @dataclass(frozen=True)
 class TrialRow:
-    """Stored record of a trial that was run.
+    """Record of a trial that was run, as stored in `row.json`.
 
     Attributes:
         status: "measured" or "failed".
@@ -43,12 +43,12 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """Return the file name of a result, from its key: runs with different settings never write the same file."""
+    """Return the file name of a trial's result, made from its cache key, so that other settings write another file."""
     return f"result-{keys.result}.h5"
 
 
 def has_result(folder: Path, trial: TrialRow) -> bool:
-    """Return True if the result named by a row exists as it was written."""
+    """Return True if the result file named in a row exists and is unchanged since it was written."""
     if trial.result is None or trial.content is None:
         return False
     try:
@@ -59,9 +59,8 @@ def has_result(folder: Path, trial: TrialRow) -> bool:
 
 
 def write_row(folder: Path, trial: TrialRow) -> None:
-    """Write `row.json`, and remove results that it does not name."""
-    content = asdict(trial) | {"keys": trial.keys and trial.keys.as_json()}
-    content = json.loads(json.dumps(content, allow_nan=False))
+    """Write `row.json` of a trial, and remove result files that it does not name."""
+    content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
     write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))
     for other in folder.glob("result-*.h5"):
@@ -70,7 +69,7 @@ def write_row(folder: Path, trial: TrialRow) -> None:
 
 
 def read_row(folder: Path) -> TrialRow | None:
-    """Return the stored row; None if there is none or `row.json` is damaged: the trial is then run again."""
+    """Return the row stored in a trial's folder; None if it is missing or damaged, so that the trial is run again."""
     try:
         found = json.loads((folder / "row.json").read_text(encoding="utf-8"))
         if found.pop(_DIGEST) != digest_of(found):

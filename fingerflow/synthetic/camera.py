@@ -38,28 +38,29 @@ class Camera:
 
     @property
     def full_range(self) -> int:
-        """Return the largest grey level."""
+        """Return the camera's largest grey level."""
         result: int = 2**self.bit_depth - 1
         return result
 
     @property
     def levels(self) -> float:
-        """Return the number of this camera's grey levels in one 8-bit grey level."""
+        """Return how many grey levels of this camera correspond to one 8-bit grey level."""
         return self.full_range / 255
 
     def expose(self, light: Tensor) -> Tensor:
-        """Return noise-free, unrounded grey levels of this camera for light in 8-bit grey levels above the dark."""
+        """Convert light, in 8-bit levels above the dark level, to this camera's noise-free, unrounded grey levels."""
         return (light + self.dark) * self.levels
 
     def variance(self, clean: Tensor) -> Tensor:
-        """Return a pixel's variance at its noise-free level, in squared grey levels, without quantisation."""
+        """Return the noise variance of pixels with noise-free levels `clean`, in squared grey levels, unquantised."""
         scale, dark = self.levels, self.dark * self.levels
         at_half = (self.noise * scale) ** 2
         shot = at_half * self.shot_share / (127.5 * scale - dark)
         return (clean - dark).clamp(min=0) * shot + at_half * (1 - self.shot_share)
 
     def read_out(self, clean: Tensor, picture: int, defects: View | None = None) -> NDArray[np.integer]:
-        """Return the image (H, W) that the camera delivers; the same `picture` number always gives the same noise.
+        """Return the noisy image (H, W) that the camera delivers; the same `picture` number always gives the same
+        noise.
 
         Args:
             clean: noise-free grey levels (H, W).

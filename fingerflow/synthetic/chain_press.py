@@ -1,4 +1,4 @@
-"""A fingertip pressed on glass, simulated with the skin chain: the spread of its skin depends on friction."""
+"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of its skin depends on friction."""
 
 import math
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain(self) -> Chain:
-        """Return the chain at evenly spaced times of the rise, from first contact to full force."""
+        """Return the simulated skin chain at evenly spaced times from first contact to full force."""
         time = torch.linspace(0, self.rise_time, _TIMES, dtype=torch.float64)
         load = torch.from_numpy(self.normal_force(time.numpy() + self.contact_time))
         skin = named(self.parameters).softer(self.softness)
@@ -59,11 +59,11 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """Return the chain's own displacement and divergence since contact: ground truth without images and splines."""
+        """Return displacement and divergence of the chain since contact: ground truth without images and splines."""
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:
-        """Interpolate values (T,) at the chain's times to the times of the frames; NaN before contact."""
+        """Interpolate values (T,) at the chain's simulated times to the times of the frames; NaN before contact."""
         share = self.progress(self.times)
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
@@ -96,7 +96,7 @@ class ChainPress(SyntheticScene):
 
 @dataclass(frozen=True, eq=False)
 class RadialMotion:
-    """A growing disc of contact under skin that spreads from its centre, both given by splines.
+    """Motion of a contact disc that grows while skin spreads radially from its centre, both given by splines.
 
     Progress is the elapsed share of the rise. With r the distance from the centre, material = position (1 - s), where
     s(r, progress) is a bicubic spline, even in r. The square of the disc's radius is a cubic spline of progress. Both

@@ -1,4 +1,4 @@
-"""Comparison of measurements with the truth of a synthetic scene."""
+"""Comparison of pipeline results with the ground truth of a synthetic scene."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Comparison(NamedTuple):
-    """One quantity: measured and true value in the last frame, and a text with its errors."""
+    """Comparison of one quantity: measured and true value in the last frame, and a text with its errors."""
 
     quantity: str
     unit: str
@@ -91,7 +91,7 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
 
 
 def as_text(rows: list[Comparison]) -> str:
-    """Return the table in plain text."""
+    """Return the comparisons as a table in plain text."""
     lines = [f"{'quantity':33}{'measured':>12}{'truth':>12}  {'unit':7}error"]
     lines += [f"{row.quantity:33}{row.measured:12.4f}{row.truth:12.4f}  {row.unit:7}{row.error}" for row in rows]
     return "\n".join(lines)

@@ -18,7 +18,7 @@ BOW = 15.0
 
 @dataclass(frozen=True)
 class FingerprintTexture:
-    """A fingerprint in material coordinates (mm, x right, y down, the tip of the finger up).
+    """Fingerprint as a function of material coordinates (mm, x right, y down, fingertip up).
 
     Grey level and contact are a formula, defined at every real-valued position and continuously differentiable. Ridge
     endings and bifurcations follow from the formula (`ridge_pattern`), about one in 3 mm². Ridges touch above a height.
@@ -65,13 +65,13 @@ class FingerprintTexture:
         object.__setattr__(self, "_pattern", PATTERNS[self.pattern]())
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside (-1, 1), bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within (-1, 1) and bright on ridges, at material positions (x, y), in mm."""
         ridge = self.ridges(x, y)
         contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._waves["pores"], x, y) * (self.pores / 32)
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the margin as defined by `Skin`; the share is that without pores, unevenness and border."""
+        """Return the distance inside a touching ridge, as `Skin` defines it; pores and border reduce `share`."""
         height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]
@@ -80,7 +80,7 @@ class FingerprintTexture:
         return touching * (self.period / (2 * math.pi))
 
     def ridges(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the height of the ridges inside (-1, 1) at (x, y), 1 on a crest."""
+        """Return the ridge height, within (-1, 1) and 1 on a crest, at material positions (x, y), mm."""
         across, down = x - self.centre[0], y - self.centre[1]
         right = add_waves(across, self._waves["right"], 0.06, x, y)
         below = add_waves(down - across.square() * (0.5 / BOW), self._waves["down"], 0.06, x, y)

@@ -1,4 +1,4 @@
-"""Cubic B-splines on an even grid, for evaluation at every pixel."""
+"""Cubic B-splines on an evenly spaced grid, for evaluation at every pixel."""
 
 from torch import Tensor
 

@@ -1,4 +1,4 @@
-"""A soft sensor with an internal camera: a gel with printed markers; an object presses, drags, slips and lifts off."""
+"""Synthetic soft sensor: a gel with printed markers and a camera; an object presses, drags, slips and lifts off."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +21,7 @@ _INVERTED = 1e-3  # px, last step of the fixed-point iteration; its error is no 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerGel:
-    """A lattice of dark discs on an elastic surface. Lengths in px of the frame, angles in rad.
+    """Lattice of dark discs on an elastic surface that an object deforms. Lengths in px of the frame, angles in rad.
 
     Time course, in shares of the recording: at rest until 0.15. Until 0.3 the object presses, which spreads the gel by
     `dilation`. Until 0.6 it drags the gel by `shear`, while its rim slips from 0.45 on. At 0.7 it slips as a whole:
@@ -80,11 +80,11 @@ class MarkerGel:
         return result
 
     def pressed(self, frame: int) -> float:
-        """Return the pressing from 0 without to 1 with the object."""
+        """Return how far the object is pressed in, from 0 without contact to 1."""
         return float(np.interp(self._share(frame), (0.15, 0.3, 0.7, 0.85), (0, 1, 1, 0)))
 
     def sheared(self, frame: int) -> float:
-        """Return the current share of `shear`."""
+        """Return the current shear of the gel as a share of `shear`."""
         share = self._share(frame)
         if share >= 0.7:
             return float(np.interp(share, (0.7, 0.85), (self.kept, 0)))
@@ -92,15 +92,15 @@ class MarkerGel:
 
     @property
     def slip_frame(self) -> int:
-        """Return the first frame after gross slip."""
+        """Return the first frame after the onset of gross slip."""
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:
-        """Return the extent of partial slip, from 0 to 1."""
+        """Return the extent of partial slip at the rim of the contact, from 0 to 1."""
         return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
 
     def displacement(self, places: Array, frame: int) -> Array:
-        """Return the displacement (..., 2) px of positions (..., 2) at rest."""
+        """Return the displacement (..., 2) px of surface positions (..., 2) px at rest."""
         off = places - np.asarray(self.contact)
         r = np.linalg.norm(off, axis=-1, keepdims=True)
         rim = np.clip((r - 0.4 * self.object_radius) / (0.6 * self.object_radius), 0, 1)
@@ -115,7 +115,7 @@ class MarkerGel:
         return self.markers + self.displacement(self.markers, frame)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """Return the image (H, W, 3) in red, green, blue."""
+        """Return the colour image (H, W, 3) of a frame in red, green, blue."""
         height, width = self.frame_shape
         fine = (np.arange(_SUPERSAMPLED) + 0.5) / _SUPERSAMPLED - 0.5
         x, y = ((np.arange(size)[:, None] + fine).ravel() for size in (width, height))
@@ -145,7 +145,8 @@ class MarkerGel:
 
 
 def write_gel_recording(folder: Path, gel: MarkerGel, mm_per_px: float = 0.06) -> Path:
-    """Write frames.avi, in colour and compressed as from a sensor, and scene.toml; return the path of scene.toml.
+    """Write a recording of the gel as compressed colour video frames.avi with scene.toml; return the path of
+    scene.toml.
 
     Raises FingerflowError if the folder exists already or the video cannot be written.
     """

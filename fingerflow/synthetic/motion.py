@@ -18,7 +18,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Edge of a region: centre (mm), semi-axes (mm) and the angle (rad) from x to the first axis, towards y."""
+    """Elliptic edge of a region: centre (mm), semi-axes (mm), and angle (rad) from x to the first axis, towards y."""
 
     centre: tuple[float, float]
     semi_axes: tuple[float, float]
@@ -26,29 +26,29 @@ class Ellipse:
 
     @property
     def area(self) -> float:
-        """Return the area in mm²."""
+        """Return the enclosed area in mm²."""
         return math.pi * self.semi_axes[0] * self.semi_axes[1]
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Return the largest distance (mm) of the edge from the centre along x and along y."""
+        """Return the half width and half height (mm) of the ellipse's bounding box."""
         (first, second), cosine, sine = self.semi_axes, math.cos(self.angle), math.sin(self.angle)
         return math.hypot(first * cosine, second * sine), math.hypot(first * sine, second * cosine)
 
     def edge(self, count: int) -> NDArray[np.float64]:
-        """Return points (count, 2) on the edge, mm."""
+        """Return `count` points (count, 2) on the ellipse, mm."""
         turn = np.exp(2j * np.pi * np.arange(count) / count)
         around = np.exp(1j * self.angle) * (self.semi_axes[0] * turn.real + 1j * self.semi_axes[1] * turn.imag)
         return np.stack((around.real, around.imag), -1) + self.centre
 
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the distance from the centre relative to that of the edge in the same direction: 1 on the edge."""
+        """Return the relative radius of positions: 0 at the centre, 1 on the ellipse."""
         along, across = self._principal(x, y)
         # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre 0, not NaN.
         return torch.sqrt(along.square() + across.square() + 1e-30)
 
     def distance(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the distance to the edge in mm, positive inside: exact on the edge and first order near it."""
+        """Return the distance to the ellipse in mm, positive inside: exact on the ellipse and first order near it."""
         along, across = self._principal(x, y)
         radius = torch.sqrt(along.square() + across.square() + 1e-30)
         slope = torch.sqrt((along / self.semi_axes[0]).square() + (across / self.semi_axes[1]).square() + 1e-30)
@@ -66,7 +66,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Bump:
-    """A displacement that fades like a Gaussian: (shift + dilation x (position - centre)) exp(-distance² / 2 width²).
+    """Displacement field that fades as a Gaussian: (shift + dilation x (position - centre)) exp(-distance² / 2 width²).
 
     centre, width and shift are in mm; the dilation (mm per mm) adds twice itself to the divergence at the centre.
     """
@@ -83,24 +83,24 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of a movement; x, y and progress are tensors that broadcast, float32 or float64."""
+    """Interface of a skin motion, by position (x, y) and progress, tensors that broadcast, float32 or float64."""
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the material coordinates (mm) of the skin at (x, y)."""
+        """Return the material coordinates (mm) of the skin that lies at positions (x, y) on the glass."""
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        """Return the dimensionless depth: positive inside the apparent contact, 0 on its edge, negative outside."""
+        """Return a dimensionless depth in the apparent contact: positive inside, 0 on its edge, negative outside."""
 
     def ellipse(self, progress: float) -> Ellipse | None:
-        """Return the apparent contact, or None where nothing touches."""
+        """Return the edge of the apparent contact, or None without contact."""
 
 
 @dataclass(frozen=True)
 class PressMotion:
-    """A contact that grows from a point to `contact` while the skin spreads by `gradient`, `shift` and `bumps`.
+    """Motion of a press: contact grows from a point to `contact` while skin spreads by `gradient`, `shift` and `bumps`.
 
     Progress is the length of the contact as a share of its final length. Contact area grows with the square root of the
     force and skin displacement with the force itself, that is with progress⁴:
@@ -143,7 +143,7 @@ class PressMotion:
 
 @dataclass(frozen=True)
 class SlideMotion:
-    """A contact of constant size that is pulled along `direction`: it peels from the rim, then slides as a whole.
+    """Motion of a slide: skin peels off from the rim of a constant contact, then all slides along `direction`.
 
     Until `full_slip` (a progress) the stuck ellipse, `stuck_radius` times the contact, shrinks to nothing while the
     rim slips by up to `creep` mm. Then contact and skin travel `travel` mm together. With r the relative radius in the
@@ -162,11 +162,11 @@ class SlideMotion:
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Return the length of the stuck ellipse relative to the contact; its square is the relative stuck area d²."""
+        """Return the size of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
         return 1 - self._peeling(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """Return the common travel of contact and skin, mm."""
+        """Return the distance, mm, by which contact and skin have slid as a whole."""
         return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -186,7 +186,8 @@ class SlideMotion:
         return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
-        """Return the relative radius inside which the skin has moved by less than `limit` mm since the start.
+        """Return the relative radius in the contact within which skin has moved by less than `limit` mm since the
+        start.
 
         It is 0 where no skin has moved less, and infinite where all has.
         """

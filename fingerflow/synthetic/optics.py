@@ -22,7 +22,7 @@ GLASS_FROM = 0.4
 
 @dataclass(frozen=True)
 class Lights:
-    """Lamps, fixed in space: they do not move with the skin.
+    """Illumination by lamps that are fixed in space and do not move with the skin.
 
     Args:
         size: width and height (mm) of the contact view.
@@ -31,17 +31,17 @@ class Lights:
     size: tuple[float, float]
 
     def grazing(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grazing light at positions in mm, 1 at its brightest; it fades from left to right."""
+        """Return the intensity of the grazing light at positions in mm, at most 1; it fades from left to right."""
         width, height = self.size
         return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
 
     def stray(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of the topography view without a finger."""
+        """Return the grey levels of stray light: the topography view without a finger."""
         width, height = self.size
         return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
     def bright_field(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of the contact view without a finger: an uneven disc that leaves the corners black."""
+        """Return the grey levels of the contact view without a finger: an uneven bright disc with black corners."""
         width, height = self.size
         radius = 0.47 * height
         disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
@@ -50,7 +50,8 @@ class Lights:
 
 
 def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
-    """Return the grey levels of skin at material coordinates (x, y) under grazing light, plus the stray light.
+    """Return the grey levels of the topography view: skin at material coordinates (x, y) under grazing light, plus
+    stray light.
 
     The outline of the finger is in material coordinates: like the ridges it moves with the skin.
     """
@@ -59,7 +60,8 @@ def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: T
 
 
 def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
-    """Return the bright field darkened by contact; margins are distances (mm) to the ridge and apparent contact edge.
+    """Return the grey levels of the contact view: the bright field darkened by contact. Margins are distances (mm) to
+    the edges of ridge and apparent contact.
 
     Margins are positive inside. The level half-way between ridge and valley lies on the edge of the real contact.
     """

@@ -1,4 +1,4 @@
-"""A trial of tangential loading: T ramps up under a constant N until the whole contact slips."""
+"""Synthetic trial of tangential loading: force T rises at constant normal force N until the whole contact slips."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +20,7 @@ _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the st
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip(Slide):
-    """A slide driven by its load: T/N rises linearly, and the stick region is that of the model at this load.
+    """Slide under linearly rising load ratio T/N, with the stick region of the partial-slip model at each load.
 
     d² follows equation 5 of Terekhov & Hayward (2011) up to the critical load. If kinetic friction is the smaller one,
     the critical area then collapses at constant load, linearly in time; otherwise it has faded to nothing. From then on
@@ -92,7 +92,8 @@ class PartialSlip(Slide):
 
 @dataclass(frozen=True)
 class PartialSlipMotion(SlideMotion):
-    """A `SlideMotion` whose stuck ellipse has the model's area; its load is linear in progress up to `loaded`.
+    """Motion of a slide whose stuck ellipse has the area of the partial-slip model; load is linear in progress up to
+    `loaded`.
 
     With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has moved by creep (f(r -
     s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below. From the border of the stick region the skin
@@ -114,7 +115,7 @@ class PartialSlipMotion(SlideMotion):
     jump: float = 0.0
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """Return the common travel of contact and skin, mm, including jumps after full slip."""
+        """Return the distance, mm, by which contact and skin have slid as a whole, including jumps after full slip."""
         result = super().travelled(progress)
         for at in self.jumps:
             if at >= self.full_slip:
@@ -122,12 +123,12 @@ class PartialSlipMotion(SlideMotion):
         return result
 
     def leapt(self, progress: Tensor) -> Tensor:
-        """Return the sum of the rim's jumps before full slip, mm."""
+        """Return the total length, mm, of the jumps of the contact's rim before full slip."""
         count = sum(((progress >= at).to(progress.dtype) for at in self.jumps if at < self.full_slip), 0 * progress)
         return self.jump * count
 
     def load_ratio(self, progress: Tensor) -> Tensor:
-        """Return T/N while any part sticks, float64."""
+        """Return the load ratio T/N while part of the contact sticks, float64."""
         critical = critical_load_ratio(self.static_friction, self.kinetic_friction)
         return critical * (progress.double() / self.loaded).clamp(max=1)
 
@@ -147,7 +148,7 @@ class PartialSlipMotion(SlideMotion):
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
     def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
-        """Return the slip of the skin beyond the common travel with the contact, mm."""
+        """Return the slip of the skin, mm, relative to the contact."""
         crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
         return crept + leapt * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 

@@ -1,4 +1,4 @@
-"""A fingertip pressed on glass: the contact grows from a point while the skin spreads."""
+"""Synthetic press of a fingertip on glass: contact grows from a point while the skin spreads."""
 
 import math
 from dataclasses import dataclass

@@ -33,7 +33,7 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """An orientation field; `step` (rad/mm) is the unit of its wave numbers, 0 where any wave number is allowed."""
+    """Orientation field of a ridge pattern; `step` (rad/mm) is the unit of its wave numbers, 0 if any is allowed."""
 
     levels: Levels
     step: float
@@ -64,7 +64,7 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
 
 
 def arch() -> Pattern:
-    """Return a pattern of ridges from side to side that rise over the middle."""
+    """Return the orientation field of an arch: ridges from side to side that rise in the middle."""
     height, width, reach = 2.2, 2.4, 4.0
 
     def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -76,7 +76,7 @@ def arch() -> Pattern:
 
 
 def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
-    """Return a pattern with one core at 0 and one delta (mm): Q = (z - delta) / z.
+    """Return the orientation field of a loop with core at 0 and one delta (mm): Q = (z - delta) / z.
 
     With A² = z and B² = z - delta the integral from the core is A B - delta log((A + B) / (-delta)^(1/2)).
     """
@@ -92,7 +92,8 @@ def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
 
 
 def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
-    """Return a pattern with a double core at 0 and deltas at (+-across, down) mm: Q = (z - delta_1) (z - delta_2) / z².
+    """Return the orientation field of a whorl, core at 0, deltas (+-across, down) mm: Q = (z - delta_1) (z - delta_2) /
+    z².
 
     With w = z - i down, R² = w² - across² and h² = across² + down² the integral from a delta has the imaginary part Im
     R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) / (across z)|. Towards the core it grows as the

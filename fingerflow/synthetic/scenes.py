@@ -1,4 +1,4 @@
-"""Base of all synthetic fingertip scenes in the rig's layout: images, forces and their truth."""
+"""Base class of all synthetic fingertip scenes in the rig's layout: images, forces and ground truth."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
 class SyntheticForces(NamedTuple):
-    """Force samples at 10 kHz, on the frames' clock: time in s, two forces in N, trigger in V, which rises at 0 s."""
+    """Force sensor samples at 10 kHz: time in s, two forces in N, and the trigger in V, which rises at 0 s."""
 
     time: Array
     normal_force: Array
@@ -35,7 +35,9 @@ class SyntheticForces(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticScene:
-    """A movement in front of the camera. Lengths are in mm, angles in rad, times in s from the trigger, forces in N.
+    """Synthetic recording of a finger movement. Lengths are in mm, angles in rad, times in s from the trigger.
+
+    Forces are in N.
 
     A frame has the topography view on its left half and the contact view on its right half. Positions are in mm on
     the glass, 0 at the centre of the contact view's first pixel.
@@ -73,12 +75,12 @@ class SyntheticScene:
 
     @property
     def times(self) -> Array:
-        """Return the time of each frame, s: 0 at the trigger."""
+        """Return the time of each frame in s from the trigger."""
         return (np.arange(self.n_frames) - self.frames_before_trigger) / self.frame_rate
 
     @property
     def views(self) -> dict[str, View]:
-        """Return the parts of a frame that hold the "topography" and the "contact" view."""
+        """Return the rectangles of the "topography" and the "contact" view in a frame."""
         rows, columns = self.frame_shape
         return {
             "topography": View(rows=(0, rows), columns=(0, columns // 2)),
@@ -87,7 +89,7 @@ class SyntheticScene:
 
     @cached_property
     def truth(self) -> Truth:
-        """Return the ground truth for a pipeline."""
+        """Return the ground truth of this scene, to compare with results of a pipeline."""
         return Truth(
             motion=self.motion,
             progress=self.progress(self.times),
@@ -99,30 +101,30 @@ class SyntheticScene:
         )
 
     def render(self, frame: int) -> NDArray[np.integer]:
-        """Return a frame (H, W) as the camera delivers it; deterministic and independent of the order of calls."""
+        """Return a frame (H, W) with camera noise; it is deterministic and does not depend on the order of calls."""
         clean = torch.from_numpy(self.render_clean(self._checked(frame)))
         return self.camera.read_out(clean, frame, defects=self.views["contact"])
 
     def render_clean(self, frame: int, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
-        """Return a frame (H, W) in grey levels of the camera without noise and rounding."""
+        """Return a frame (H, W) in unrounded grey levels of the camera, without noise."""
         progress = torch.tensor(self.progress(self.times)[self._checked(frame)], dtype=dtype)
         return self._picture(progress, dtype)
 
     def empty_clean(self, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
-        """Return the glass without a finger (H, W), in grey levels of the camera without noise and rounding."""
+        """Return an image (H, W) of the glass without a finger, in unrounded grey levels without noise."""
         return self._picture(None, dtype)
 
     def empty(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return the glass without a finger (H, W) as the camera delivers it; each number has its own noise."""
+        """Return a noisy camera image (H, W) of the glass without a finger; each number `picture` has its own noise."""
         clean = torch.from_numpy(self.empty_clean())
         return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
 
     def dark(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return a frame without light; each number has its own noise."""
+        """Return a noisy camera image without light; each number `picture` has its own noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
     def forces(self) -> SyntheticForces:
-        """Return the force sensors' samples from the first frame to the last, with their noise."""
+        """Return noisy samples of the force sensors from the first frame to the last."""
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
         noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
@@ -136,7 +138,7 @@ class SyntheticScene:
 
     @property
     def motion(self) -> SkinMotion:
-        """Return the movement as a function of its progress."""
+        """Return the motion of the skin as a function of progress from 0 to 1."""
         raise NotImplementedError
 
     def progress(self, time: Array) -> Array:
@@ -144,7 +146,7 @@ class SyntheticScene:
         raise NotImplementedError
 
     def time_of(self, progress: Array) -> Array:
-        """Return the time in s at which a progress is reached."""
+        """Return the time in s at which the movement reaches a progress from 0 to 1."""
         raise NotImplementedError
 
     def normal_force(self, time: Array) -> Array:
@@ -157,13 +159,13 @@ class SyntheticScene:
 
     @property
     def contact_centre(self) -> tuple[float, float]:
-        """Return the position at which the contact begins, mm."""
+        """Return the position on the glass at which contact begins, mm."""
         rows, columns = self.views["contact"].shape
         return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
 
     @cached_property
     def skin(self) -> Skin:
-        """Return the texture in material coordinates."""
+        """Return the texture of the skin as a function of material coordinates."""
         (x, y), (right, down) = self.contact_centre, self.texture.centre
         return replace(self.texture, centre=(x + right, y + down))
 
@@ -171,7 +173,7 @@ class SyntheticScene:
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
-        """Return a whole frame without noise; progress None is the glass without a finger."""
+        """Return a frame with both views, without noise; for progress None the glass without a finger."""
         topography_planes, contact_planes = _fixed_planes(self, dtype)
         views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
         return self.camera.expose(torch.cat(views, dim=1)).numpy()
@@ -195,7 +197,7 @@ class SyntheticScene:
         return view
 
     def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
-        """Return rows and columns of the contact view outside of which there is only glass."""
+        """Return the rows and columns of the contact view outside which nothing but glass is visible."""
         ends = zip(ellipse.centre, ellipse.reach, strict=True)
         right, down = (
             slice(
@@ -214,7 +216,8 @@ class SyntheticScene:
 
 @lru_cache(maxsize=4)
 def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Return the planes common to all frames, (H, W): topography x, y, grazing and stray light; contact x, y and light.
+    """Return planes (H, W) common to all frames: x, y, grazing and stray light in the topography, x, y, light in the
+    contact view.
 
     They are computed in float64 and rounded once.
     """

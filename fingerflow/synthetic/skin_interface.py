@@ -1,4 +1,4 @@
-"""Interface of skin to a scene."""
+"""Interface of skin textures that a synthetic scene can show."""
 
 from typing import Any, ClassVar, Protocol
 
@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class Skin(Protocol):
-    """Skin in material coordinates (mm, x right, y down): a dataclass with a `centre`, exact at every position.
+    """Interface of a skin texture, exact at every material position (mm, x right, y down): a dataclass with a `centre`.
 
     Tensors may have any shape, device and floating type.
     """
@@ -15,10 +15,10 @@ class Skin(Protocol):
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Return the position of the skin's core or centre, mm."""
+        """Return the position of the fingerprint's core or centre, mm."""
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
         """Return the distance (mm) inside a touching ridge, > 0 where skin touches; exact in sign, else first order.

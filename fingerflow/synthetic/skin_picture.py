@@ -35,7 +35,7 @@ LEAST_SLOPE = 1.0
 
 
 class Levels(NamedTuple):
-    """Coefficients (rows, columns) of cubic splines over an image and its border, and the image's shape.
+    """Spline coefficients (rows, columns) of an image and its border, for contrast and contact, and the image's shape.
 
     `contrast` is the skin's; `touching`, positive where the skin touches, is scaled so that ridge and glass differ by
     1.
@@ -89,26 +89,26 @@ class PictureTexture:
         return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
         value, _, _ = _spline(self._levels.contrast, *self._pixels(x, y))
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the margin as defined by `Skin`; the share that touches is the image's, ``share`` is ignored."""
+        """Return the distance inside a touching ridge (see `Skin`) as the image shows it; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Return column and row of positions (mm), in pixels of the image with its border."""
+        """Convert material positions (mm) to column and row in the image with its border."""
         rows, columns = self._levels.shape
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a press or slide of the finger in an image, as near the centre of its print as the contact fits in.
+    """Return a press or slide of the finger in an image, centred as near the print's centre as the contact allows.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
@@ -138,7 +138,7 @@ def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
 
 
 def _middle(texture: PictureTexture) -> Plane:
-    """Return the centre (x, y) in mm of the ridges in an image whose own centre is at 0."""
+    """Return the centre (x, y) in mm of the touching ridges, relative to the centre of the image."""
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
@@ -184,13 +184,13 @@ def _fading(count: int, period: float) -> Plane:
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return the brightest level within a ridge distance: that of glass or of a valley."""
+    """Return at each pixel the brightest level within a ridge distance, that of glass or of a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:
-    """Return the ridge distance in pixels: the peak of the spectrum's power over rings, from 4 to 40 px."""
+    """Return the ridge distance in pixels, 4 to 40: the peak of the radial power spectrum."""
     flat = plane - gaussian_filter(plane, 12.0)
     if flat.std() < 1e-3 * max(np.ptp(plane), 1.0):
         raise FingerflowError(f"{picture} shows no ridges; give a picture of a fingerprint")
@@ -204,7 +204,7 @@ def _ridge_distance(plane: Plane, picture: Path) -> float:
 
 
 def _coefficients(plane: Plane, outside: float) -> Tensor:
-    """Return the coefficients of the cubic spline through a plane with a constant border."""
+    """Return the coefficients of a cubic spline through an image that is padded with a constant border."""
     around = np.pad(plane, SURROUND, constant_values=outside)
     return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
 

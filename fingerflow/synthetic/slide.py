@@ -1,4 +1,4 @@
-"""A fingertip pulled over glass under a constant normal force until its contact slips as a whole."""
+"""Synthetic slide: a fingertip pulled over glass at constant normal force until its contact slips as a whole."""
 
 import math
 from dataclasses import dataclass
@@ -68,11 +68,11 @@ class Slide(SyntheticScene):
         return self.force * slipping * (2 * mu_s * (1 - slipping) + mu_k * slipping)
 
     def stuck_share(self, frame: int) -> float:
-        """Return the relative stuck area d²: the part of the contact that has not slipped at all."""
+        """Return the stuck area share d² of a frame: the part of the contact that has not slipped at all."""
         return float(self._stuck_share(self.progress(self.times[frame])))
 
     def slow_share(self, frame: int, limit_mm: float = 0.04) -> float:
-        """Return the share of the contact whose skin has moved by less than a limit since the start.
+        """Return the share of the contact whose skin has moved by less than `limit_mm` since the start.
 
         A camera takes this share for the stick region. The limit of Terekhov & Hayward (2011) is 40 um.
         """

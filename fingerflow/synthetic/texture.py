@@ -17,7 +17,7 @@ Mapping = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True)
 class RidgeTexture:
-    """A whorl of papillary ridges in material coordinates (mm, x right, y down), infinitely differentiable.
+    """Whorl of papillary ridges as an infinitely differentiable function of material coordinates (mm, x right, y down).
 
     Calling it gives a dimensionless contrast inside [-1, 1], mean close to 0 and bright on the ridges, for tensors of
     any shape, device and floating type. It is the skin as imaged by the camera: the blur of lens and pixel is part of
@@ -51,13 +51,13 @@ class RidgeTexture:
         object.__setattr__(self, "_grain", plane_waves([0.25, 0.31, 0.39, 0.5, 0.68, 1.0], generator))
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the contrast at the material positions (x, y), in mm."""
+        """Return the optical contrast of the skin at material positions (x, y), in mm."""
         ridge = torch.cos(self.ridge_phase(x, y))
         contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._pore_rows, x, y) * (self.pores / 32)
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the margin as defined by `Skin`: the same part of every ridge touches, up to the contact's edge."""
+        """Return the distance inside a touching ridge (see `Skin`); the same share of every ridge touches."""
         half_width = math.pi * share
         slope = 2 * math.pi / self.period * math.sin(half_width)
         return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)

@@ -31,7 +31,7 @@ TOLERANCE = 1e-13
 
 @dataclass(frozen=True)
 class Medians:
-    """Medians over the apparent contact of one frame; NaN before contact.
+    """True medians over the apparent contact of one frame; NaN before contact.
 
     Displacement and gradients count from the onset of each point. Divergence, curl = dv/dx - du/dy and the full
     Green-Lagrange strain (exx, eyy, exy) are dimensionless; the displacement is in mm, its median per component.
@@ -48,7 +48,7 @@ class Medians:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact values of the quantities that a pipeline measures in a scene."""
+    """Exact values of the quantities that a pipeline measures in a synthetic scene."""
 
     motion: SkinMotion
     progress: Array  # (frames,) of the movement, never falling
@@ -63,62 +63,62 @@ class Truth:
     # Views
 
     def contact_pixels(self, positions: ArrayLike) -> Array:
-        """Return the pixels of the contact view (..., 2) at positions (..., 2) in mm."""
+        """Convert positions (..., 2) from mm on the glass to px of the contact view."""
         return np.asarray(positions, dtype=np.float64) / self.mm_per_px
 
     def contact_positions(self, pixels: ArrayLike) -> Array:
-        """Return the positions in mm at pixels of the contact view."""
+        """Convert positions (..., 2) from px of the contact view to mm on the glass."""
         return np.asarray(pixels, dtype=np.float64) * self.mm_per_px
 
     def topography_pixels(self, positions: ArrayLike) -> Array:
-        """Return the pixels of the topography view (..., 2) at positions (..., 2) in mm."""
+        """Convert positions (..., 2) from mm on the glass to px of the topography view."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
         return (self.contact_pixels(positions) - offset) @ np.linalg.inv(matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
-        """Return the positions in mm at pixels of the topography view."""
+        """Convert positions (..., 2) from px of the topography view to mm on the glass."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
         return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ matrix.T + offset)
 
     # Motion
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
-        """Return material coordinates (mm) of the skin at positions (..., 2) in a frame."""
+        """Return the material coordinates (mm) of the skin at positions (..., 2) on the glass in a frame."""
         x, y = _points(positions).unbind(-1)
         return torch.stack(self.motion.material(x, y, self._at(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
-        """Return positions (mm) of material points (..., 2) in a frame."""
+        """Return the positions (mm) on the glass of material points (..., 2) in a frame."""
         points = _points(material)
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
-        """Return the topography pixels to which the skin at given pixels has moved from one frame to another."""
+        """Return the topography pixels in frame `to_frame` of the skin at given pixels in frame `from_frame`."""
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
     # Contact
 
     def ellipse(self, frame: int) -> Ellipse | None:
-        """Return the apparent contact in mm, None before contact."""
+        """Return the edge of the apparent contact in a frame, mm; None before contact."""
         return self.motion.ellipse(float(self.progress[frame]))
 
     def gross_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return True for each pixel centre of the contact view (H, W) inside the apparent contact."""
+        """Return the mask (H, W) of pixels of the contact view whose centre lies in the apparent contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self.contact_shape, dtype=bool)
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return True for each pixel centre of the contact view (H, W) on a ridge in contact."""
+        """Return the mask (H, W) of pixels of the contact view whose centre lies on a ridge in contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self.contact_shape, dtype=bool)
         return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
-        """Return the area of the apparent contact, an ellipse, mm²."""
+        """Return the area of the elliptic apparent contact in a frame, mm²."""
         ellipse = self.ellipse(frame)
         return 0.0 if ellipse is None else ellipse.area
 
@@ -138,13 +138,13 @@ class Truth:
         return self.time_of(self._onset(_points(material))[0].numpy())
 
     def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
-        """Return the first frame with material points (..., 2) inside the apparent contact; -1 where there is none."""
+        """Return the first frame whose apparent contact contains material points (..., 2); -1 if there is none."""
         onset = self._onset(_points(material))[0].numpy()
         frames = np.searchsorted(self.progress, np.nan_to_num(onset, nan=np.inf), side="left")
         return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement (..., 2) in mm since the onset, or since frame `reference`.
+        """Return the displacement (..., 2) in mm of material points since their onset, or since frame `reference`.
 
         It is NaN before the onset and for points without one.
         """
@@ -164,7 +164,7 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient (..., 2, 2) with the neighbourhood taken from the point's own onset on.
+        """Return the displacement gradient (..., 2, 2) from each point's onset on, of all skin around the point.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -174,7 +174,7 @@ class Truth:
         return self._gradient_from(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
-        """Return medians over a square grid of positions in the apparent contact of a frame.
+        """Return true medians over the apparent contact of a frame, from positions on a square grid.
 
         They count since the onset of each point, or since frame `reference`; positions without a gradient are ignored.
         """
@@ -235,17 +235,17 @@ class Truth:
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
-        """Return F(frame) begun^-1 - I (..., 2, 2), with ``begun`` the gradient of the reference; NaN before onset."""
+        """Return the displacement gradient F(frame) begun^-1 - I; ``begun`` is F of the reference. NaN before onset."""
         gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
-        """Return F (..., 2, 2) of material points in a frame."""
+        """Return the deformation gradient F (..., 2, 2) of material points in a frame."""
         progress = self._at(frame).expand(points.shape[:-1])
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return F (..., 2, 2) and the skin's velocity by progress (..., 2) at positions (..., 2)."""
+        """Return deformation gradient F (..., 2, 2) and skin velocity by progress (..., 2) at positions (..., 2)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self.motion.material(positions[..., 0], positions[..., 1], progress)
@@ -255,7 +255,7 @@ class Truth:
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of the contact depth by position (..., 2) and by progress (...)."""
+        """Return derivatives of the dimensionless contact depth by position (..., 2) and by progress (...)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)
@@ -280,7 +280,8 @@ class Truth:
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN if never.
+        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN for points
+        that never do.
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """

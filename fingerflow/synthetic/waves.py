@@ -1,4 +1,4 @@
-"""Components of the skin formulas: plane waves in many directions and a lattice of pores."""
+"""Wave components of the skin formulas: plane waves in many directions, and a lattice of pores."""
 
 import math
 
@@ -10,7 +10,7 @@ Waves = list[list[float]]
 
 
 def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
-    """Return one wave per wavelength (mm), with directions spread over the half circle."""
+    """Return one plane wave for each wavelength (mm), with directions spread over the half circle."""
     count = len(wavelengths)
     angles = (torch.arange(count) * 0.618 + torch.rand(1, generator=generator)) * math.pi
     angles = angles + 0.3 * (torch.rand(count, generator=generator) - 0.5)
@@ -22,7 +22,7 @@ def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
 
 
 def add_waves(plane: Tensor, waves: Waves, amplitude: float, x: Tensor, y: Tensor) -> Tensor:
-    """Return the plane plus `amplitude` times each wave's sine at the positions (x, y), mm."""
+    """Return `plane` plus the sum of all waves at positions (x, y), mm, each with the given `amplitude`."""
     for wave_x, wave_y, offset in waves:
         plane = plane.add(torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset)), alpha=amplitude)
     return plane
@@ -40,7 +40,7 @@ def pore_lattice(first: float, second: float, generator: torch.Generator) -> Wav
 
 
 def pores_at(lattice: Waves, x: Tensor, y: Tensor) -> Tensor:
-    """Return 16 at the centre of a pore, falling to 0 between pores, at the positions (x, y), mm."""
+    """Return the pore depth at positions (x, y), mm: 16 at the centre of a pore, falling to 0 between pores."""
     (a_x, a_y, a_offset), (b_x, b_y, b_offset) = lattice
     rows = torch.cos((a_x * x).add(y, alpha=a_y).add(a_offset))
     crossing_rows = torch.cos((b_x * x).add(y, alpha=b_y).add(b_offset))

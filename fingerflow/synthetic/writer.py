@@ -1,4 +1,4 @@
-"""Storage of a synthetic scene as a lab recording, with the settings that rebuild its truth."""
+"""Writing of a synthetic scene as a lab recording, with the settings that rebuild its ground truth."""
 
 import dataclasses
 import json
@@ -40,7 +40,7 @@ FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
 def write_recording(folder: Path, scene: SyntheticScene) -> None:
-    """Write a scene as a folder that appears only when it is complete.
+    """Write a synthetic scene as a recording folder, which appears only when it is complete.
 
     The folder holds frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the
     mean of eight images without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml,
@@ -138,7 +138,7 @@ def _scene_file(scene: SyntheticScene) -> str:
 
 
 def _region(scene: SyntheticScene) -> View | None:
-    """Return the part of the topography view's first frame whose skin will touch; a stream cannot determine it."""
+    """Return the rectangle of the topography view that contains the skin which will touch, as a stream needs it."""
     truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
@@ -153,7 +153,7 @@ def _region(scene: SyntheticScene) -> View | None:
 
 
 def _truth_file(scene: SyntheticScene, folder: Path) -> str:
-    """Return the settings of a scene as JSON; an image file among them is copied into the folder beside the truth."""
+    """Return the settings of a scene as JSON; an image file among them is copied into the folder of the recording."""
 
     def settings(part: Any) -> dict[str, Any]:
         if isinstance(part, Path):
@@ -173,5 +173,5 @@ def _object(folder: Path, settings: dict[str, Any]) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """Convert lists to tuples, recursively: JSON has only lists, settings are tuples."""
+    """Convert lists from JSON to tuples, recursively, as the settings of scenes are tuples."""
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

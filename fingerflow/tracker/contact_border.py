@@ -1,4 +1,4 @@
-"""The border of the apparent contact."""
+"""Border of the apparent contact, approximated by an ellipse."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BORDER_MM = 0.06
 
 
 class Border(NamedTuple):
-    """Ellipses of the apparent (gross) contact, frame by frame; NaN where nothing touches."""
+    """Border ellipses of the apparent (gross) contact, frame by frame; NaN where nothing touches."""
 
     center: Array  # (frames, 2) mm
     semi_axes: Array  # (frames, 2) mm
@@ -24,15 +24,18 @@ class Border(NamedTuple):
 
     @classmethod
     def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
-        """Return the border from results by name, `ellipse_center` and so on."""
+        """Return the border from results by variable name: `ellipse_center`, `ellipse_semi_axes`, `ellipse_angle`."""
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """Return the border in some frames."""
+        """Select the border ellipses of some frames."""
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the depth (frames, P) mm of places (frames, P, 2) inside the border, to first order: exact on it."""
+        """Return the depth (frames, P) mm of positions (frames, P, 2) inside the border.
+
+        It is accurate to first order, and exact on the border.
+        """
         # By components: NumPy takes several times as long for sums over an axis of two.
         (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]

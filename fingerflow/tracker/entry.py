@@ -1,11 +1,11 @@
-"""Entry of points into contact: covered by a growing contact or advected over its border; gradients since the entry.
+"""Entry of points into the contact: covered by a growing contact, or advected over its border.
 
-Where a contact grows over skin, the onset positions of neighbours are as far apart as the neighbours, and the gradient
-of displacement with respect to onset positions is the usual one. Skin that is advected over a border at rest comes into
-contact along one line: the onset positions of an area of skin span no area, and this gradient does not exist
-(`synthetic.Truth.gradient` is NaN there). What can be measured of such skin is its deformation since its own entry, all
-neighbours counted from that moment: with F the gradient of position with respect to position in a common frame,
-F(t) F(entry)^-1 - I.
+Also the gradients of advected points since their entry. Where a contact grows over skin, the onset positions of
+neighbours are as far apart as the neighbours, and the gradient of displacement with respect to onset positions is the
+usual one. Skin that is advected over a border at rest comes into contact along one line: the onset positions of an area
+of skin span no area, and this gradient does not exist (`synthetic.Truth.gradient` is NaN there). What can be measured
+of such skin is its deformation since its own entry, all neighbours counted from that moment: with F the gradient of
+position with respect to position in a common frame, F(t) F(entry)^-1 - I.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FRAMES = 64  # read at a time
 
 
 class FrameValues(Protocol):
-    """Interface of values by frame, which may lie in a file."""
+    """Interface of an array with frames along its first axis, which may lie in a file."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -43,7 +43,7 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (N,) of the points that were advected into the contact over its border.
+    """Return a mask (N,) of the points that were advected into the contact, rather than covered by its growth.
 
     A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
     than half the distance by which border and point approached each other. Neighbours enter one after the other as the
@@ -77,7 +77,10 @@ def advected(
 def _by_own_way(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (E,) of the points, columns `here` (E,) of positions, whose own motion led into the contact."""
+    """Return a mask (E,) of the points that came into contact by their own motion rather than by growth of the contact.
+
+    `here` (E,) are the indices of these points in `position`.
+    """
     way, inside, then = np.full((3, len(here)), np.nan)
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
@@ -97,7 +100,10 @@ def _by_own_way(
 
 
 def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """Return `found` (N,) and the points `among` with at least two found of their three nearest within `reach_mm`."""
+    """Extend a mask `found` (N,) by the points `among` of whose three nearest neighbours at least two are found.
+
+    Only neighbours within `reach_mm` count.
+    """
     some = np.flatnonzero(among)
     if len(some) <= _VOTERS or not found.any():
         return found
@@ -111,17 +117,23 @@ def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) 
 
 
 class SinceEntry(NamedTuple):
-    """Gradients of E advected points in n frames; NaN before the entry and where too little is known."""
+    """Displacement gradients of E advected points since their entry, in n frames.
+
+    They are NaN before the entry and where too little is known.
+    """
 
     gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, with respect to positions at that time
     covariance: Array  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
 
 
 class EntryGradients:
-    """Gradients of the displacement since each point's own entry; frames are given in order of time."""
+    """Computation of displacement gradients since each point's own entry into the contact.
+
+    Frames are given in order of time.
+    """
 
     def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
-        """Select the points within half a gauge length of the points `entered` (E,), given by index.
+        """Select the points that lie within half a gauge length of the advected points `entered` (E,), given by index.
 
         Other arguments are those of `advected`.
         """
@@ -136,10 +148,10 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
-        """Return the gradients in frames (n,), from positions (n, N, 2) mm and their variance (n, N) mm^2.
+        """Compute the displacement gradients since entry in frames (n,), from positions (n, N, 2) mm.
 
-        The variance is that of a component relative to the frame in which points were seeded. Half of it belongs to
-        that frame and is the same at all times.
+        `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
+        seeded. Half of it belongs to that frame and is the same at all times.
         """
         moved = position[:, self._near] - self._places
         noise = variance[:, self._near].astype(np.float64) / 2
@@ -153,7 +165,7 @@ class EntryGradients:
 
 
 class Entries:
-    """Entry of points into contact in a stream: `advected` and `EntryGradients` from the frames so far.
+    """Entry of points into the contact in a stream: `advected` and `EntryGradients`, from the frames so far.
 
     Positions of the points and borders of the contact are kept for the last `KEPT` frames.
 
@@ -180,9 +192,10 @@ class Entries:
         self._at_entry = np.full((len(places), 2, 2), np.nan)
 
     def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
-        """Add a frame and return the gradients (N, 2, 2) since each point's own entry; None if no point has entered.
+        """Add a frame and return each point's displacement gradient (N, 2, 2) since its own entry.
 
-        They are NaN for lost points, and to be used for points that have `entered` only.
+        The result is None if no point has entered. Gradients are NaN for lost points, and to be used for points that
+        have `entered` only.
 
         Args:
             position: (N, 2) mm, NaN where lost.
@@ -214,7 +227,7 @@ class Entries:
         return since if self.entered.any() else None
 
     def _judge(self, begins: Array) -> None:
-        """Set `entered` for points whose touch begins, by their own motion, and for all by their neighbours."""
+        """Update `entered`: judge points whose touch begins by their own motion, and all points by their neighbours."""
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
         onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)

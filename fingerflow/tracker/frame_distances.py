@@ -1,4 +1,4 @@
-"""Distances of frames from earlier ones, by block means: in their pattern, without the light, and in their light."""
+"""Distances between frames, from block means: of the pattern without the light, and of the light."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ _TINY = np.finfo(np.float32).tiny
 
 
 def evened(blocks: Array) -> Array:
-    """Return block means (n, rows, columns) over the mean of their frame, which a flickering lamp does not change."""
+    """Divide block means (n, rows, columns) by the mean of their frame, which removes the flicker of a lamp."""
     result: Array = blocks / np.maximum(blocks.mean((1, 2), keepdims=True), _TINY)
     return result
 
 
 def row_distances(blocks: Array, before: Array) -> Array:
-    """Return the mean absolute differences (n, rows) between rows of blocks of `evened`."""
+    """Return the mean absolute difference of each row of blocks from the same row of another frame, (n, rows).
+
+    The block means are those of `evened`.
+    """
     result: Array = np.abs(blocks - before).mean(2)
     return result
 
 
 def block_distances(blocks: Array, before: Array) -> Array:
-    """Return the distance of each frame from the `LONGEST` + 1 before it: in rows of blocks, and in its light.
+    """Return the distances of each frame from the `LONGEST` + 1 frames before it, for each row of blocks and the light.
 
     Args:
         blocks: (n, rows, columns) of `block_means`.

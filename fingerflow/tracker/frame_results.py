@@ -1,4 +1,4 @@
-"""Results of a usable frame of a stream: areas, positions, slip, and fields since each point's onset of contact."""
+"""Results of a usable frame of a stream: areas, positions, slip, and fields since each point's contact onset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RESULTS = (
 
 
 class Seeding(NamedTuple):
-    """Seeded points (N, 2) px that are tracked from now on, padded with NaN.
+    """Points (N, 2) px seeded in one frame and tracked from then on, padded with NaN.
 
     `before` (M, 2) px are the positions of the previous points in the frame of the seeding; None for the first seeding.
     """
@@ -42,7 +42,7 @@ class Seeding(NamedTuple):
 
 
 class FrameResults:
-    """Results of frame after frame; what is counted from onsets begins again when points are seeded.
+    """Computation of the results of a stream, frame after frame; values since contact onset restart at a seeding.
 
     Tracking does not depend on this state: results may be computed in a thread of their own.
 
@@ -68,7 +68,7 @@ class FrameResults:
         return self._slip.slipping
 
     def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
-        """Return the results of the next frame by the names of `RESULTS`, from the points found of a seeding."""
+        """Compute the results of the next frame by the names of `RESULTS`, from its contact and its points."""
         if seeding is not self._seeding:
             self._begin(seeding)
         self._frames += 1
@@ -113,7 +113,7 @@ class FrameResults:
         return result
 
     def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
-        """Return the fields of the displacement since each point's own onset of contact."""
+        """Compute the fields of the displacement since each point's own onset of contact."""
         position = self._on_glass(found.points)
         border = Border(*ellipse)
         touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance, border)

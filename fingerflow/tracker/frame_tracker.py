@@ -1,4 +1,4 @@
-"""Tracker of a stream: from images to results, frame after frame, without later frames."""
+"""Tracker of a stream: computes results from images, frame after frame, without later frames."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class TrackerSettings:
 
 
 class Frame:
-    """Frame of a stream.
+    """Input frame of a stream: both views, with block means and status.
 
     Attributes:
         number: of the frame; numbers increase but may have gaps.
@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass
 class Work:
-    """Work on a frame from `StreamTracker.begin` to its results.
+    """Data of a frame while it is computed, from `StreamTracker.begin` to its results.
 
     Attributes:
         index: among all frames of the stream that have begun, from 0.
@@ -99,7 +99,7 @@ class Work:
 
 
 class Event(NamedTuple):
-    """Event at a frame, with its details."""
+    """Event of a stream, such as a seeding or a new key frame: name, number of the frame, and details."""
 
     name: str
     frame: int
@@ -107,7 +107,7 @@ class Event(NamedTuple):
 
 
 class FrameOutcome(NamedTuple):
-    """Outcome of a frame.
+    """Outcome of a frame: its status, points, and the threshold and key frame used.
 
     Attributes:
         work: of the frame.
@@ -131,14 +131,14 @@ class FrameOutcome(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """Motion of the points after the frame of this number."""
+    """Motion of the points after a frame, and the number of that frame."""
 
     motion: PointMotion
     number: int
 
 
 class _Change(NamedTuple):
-    """Reseeding, or a new key frame for the same points, from an earlier frame.
+    """Deferred change of the tracked points, computed from an earlier frame: a reseeding or a new key frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided.
     """
@@ -151,7 +151,7 @@ class _Change(NamedTuple):
 
 
 class _Unlearnt(NamedTuple):
-    """Frame from which the threshold is to be learnt, or which is to be skipped unless it `counts`.
+    """Frame whose measured threshold is not processed yet; only a frame that `counts` may set the threshold.
 
     It stores the number of the frame, because a `Frame` with results is reused for another image.
     """
@@ -162,14 +162,14 @@ class _Unlearnt(NamedTuple):
 
 
 class _Doubtful(NamedTuple):
-    """Deferred frame: its successor decides whether it counts."""
+    """Deferred frame with its tracked points: its successor decides whether it counts."""
 
     work: Work
     resolved: Resolved
 
 
 class StreamTracker:
-    """State of a stream and its update from frame to frame.
+    """Tracker of a stream: its state, and the steps by which each frame updates it.
 
     `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
     frames: it recovers lost points and decides whether the frame counts. `results_of` computes contact and results
@@ -216,7 +216,7 @@ class StreamTracker:
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
-        """Process an empty frame in a separate tracker, because the first calls of an engine take longer."""
+        """Process an empty frame in a separate tracker, since the first calls of an engine take longer."""
         other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
         for number in range(2):
             frame.number = number
@@ -229,7 +229,7 @@ class StreamTracker:
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
-        """Set the block means of a frame and the status that it has by itself; in any thread."""
+        """Compute the block means of a frame, and its status without regard to other frames; in any thread."""
         frame.blocks, frame.status = self._check.look(frame.views)
 
     def reseed(self) -> None:
@@ -242,7 +242,7 @@ class StreamTracker:
         return self._begun - self._finished
 
     def must_wait(self, frame: Frame) -> bool:
-        """Return whether all earlier frames must be finished before this one begins."""
+        """Return whether all earlier frames must be finished before a frame begins."""
         return bool(
             self._search.due(self._begun) is not None
             or self._due_change() is not None
@@ -251,8 +251,9 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Prepare a frame for computing and return its work, with the events (seeding, key frame) before it and the
-        outcome of a deferred frame.
+        """Prepare a frame for computing; return its work, and the events and outcomes that precede it.
+
+        Events are a seeding or a new key frame; the outcome is that of a deferred frame.
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
@@ -277,7 +278,7 @@ class StreamTracker:
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
-        """Finish a computed frame and return outcomes and events.
+        """Finish a computed frame; return outcomes and events.
 
         The outcomes are that of a deferred frame before it, and its own unless it is deferred too.
         """
@@ -295,7 +296,7 @@ class StreamTracker:
         return passed
 
     def _judged(self, work: Work, points: Points) -> list[FrameOutcome]:
-        """Return the outcome of a frame; none while it is deferred until its successor has arrived."""
+        """Decide whether a frame counts and return its outcome; none while the frame waits for its successor."""
         frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
         if work.found is not None and work.guess is not None and frame.status in MEASURED:
@@ -313,7 +314,7 @@ class StreamTracker:
         return [self._accepted(work, resolved)]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
-        """Return the results of a frame by variable name, without the frame axis; None if it does not count.
+        """Compute the results of a frame by variable name, without the frame axis; None if the frame does not count.
 
         Frames are given in order, from any thread: tracking does not depend on the results.
         """
@@ -330,10 +331,10 @@ class StreamTracker:
         return self._results.slipping
 
     def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
-        """Finalise the deferred frame once its successor has arrived (None: there is none) and return its outcome.
+        """Finalise the deferred frame once its successor has arrived, and return its outcome.
 
-        No threshold is learnt from it and no reseeding or key frame is taken from it: later frames may have begun, and
-        their inputs must not depend on how far they have got.
+        `following` is None if there is no successor. The deferred frame gives no threshold, reseeding or key frame:
+        later frames may have begun, and their inputs must not depend on how far they have got.
         """
         if self._doubtful is None:
             return []
@@ -345,7 +346,7 @@ class StreamTracker:
         return [self._accepted(work, resolved, late=True)]
 
     def _guess(self, number: int) -> Array | None:
-        """Return the predicted positions from the motion known `lag` frames ago, even if newer frames have ended."""
+        """Predict positions from the motion known `lag` frames ago, even if newer frames have been finished."""
         known = self._known.get(self._begun - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
@@ -358,7 +359,7 @@ class StreamTracker:
         return max(1, number - self._latest.number) if self._latest is not None else 1
 
     def _touching(self, frame: Frame, threshold: float) -> float:
-        """Return the share of the pixels whose intensity loss relative to the empty glass exceeds the threshold."""
+        """Return the share of the contact view's pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
         every = max(1, round((view.size / _PIXELS) ** 0.5))
         seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
@@ -387,14 +388,14 @@ class StreamTracker:
         return events
 
     def _seed(self, view: Array) -> Array:
-        """Return points (N, 2) px worth tracking in a view (1, H, W), padded with NaN."""
+        """Detect corners (N, 2) px to track in a view (1, H, W), padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
         found = self._engine.detect(self._engine.images(view), self._settings.region, len(points))
         points[: len(found)] = found
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Reseed if this gives more points than were tracked; on a user's request, if it gives any."""
+        """Reseed the points if this gives more points than are tracked, or, on a user's request, if it gives any."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
@@ -402,7 +403,7 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Track these points (N, 2) px of a frame from now on; everything counted from contact onsets begins again."""
+        """Track newly seeded points (N, 2) px of a frame from now on; values counted from contact onset restart."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
@@ -415,7 +416,7 @@ class StreamTracker:
         return Event("restart", number, {"cause": cause, "points": self.found})
 
     def _rekey(self, change: _Change) -> Event:
-        """Take a newer key frame, in which the points lie at `change.points`."""
+        """Take a newer key frame for the same points, which lie at `change.points` in it."""
         assert self._points is not None
         known, motion = known_of(change.points), self._points.motion
         kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
@@ -430,7 +431,7 @@ class StreamTracker:
     # Outcome of a frame.
 
     def _skipped(self, work: Work, status: int) -> FrameOutcome:
-        """Return the outcome of a frame that does not count; nothing is learnt from it."""
+        """Return the outcome of a frame that does not count; no threshold is learnt from it."""
         self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
@@ -461,7 +462,7 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Return the contact of a frame, computed by the first thread that needs it."""
+        """Return the contact of a frame; the first thread that needs it computes it."""
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)

@@ -1,4 +1,4 @@
-"""Onset of contact of points."""
+"""Onset of contact: when and where a touch of each point begins."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Touches of N points in F frames; NaN where a point has no touch.
+    """Touches of N points in each of F frames; NaN where a point has no touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -36,7 +36,7 @@ class Touching(NamedTuple):
 
 
 class Touches:
-    """Present touch of each point, updated with each run of frames.
+    """State of each point's touch of the glass, updated with each run of frames.
 
     A touch shorter than `LASTING` frames is discarded: whether the border grazes a point is chance, and the skin keeps
     moving until the contact lasts. A lasting touch is kept, even if the contact leaves the point later.
@@ -64,7 +64,7 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames and return the touches in them.
+        """Add F frames and return the touches of the points in each of them.
 
         Args:
             frames: (F,) numbers of the frames.
@@ -118,7 +118,7 @@ class Touches:
 
 
 def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """Return positions (F, N, 2) mm, interpolated to the border where a touch begins, and the shares (F, N).
+    """Interpolate positions (F, N, 2) mm to the contact's border where a touch begins; also return the shares (F, N).
 
     The first of the positions (F + 1, N, 2) and of the borders belongs to the frame before. A share is the fraction of
     the step from the previous frame at which the border passed the point: depth inside the ellipse is interpolated
@@ -143,7 +143,7 @@ def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, A
 
 
 def _pairs(places: Array) -> NDArray[np.complex128]:
-    """Return positions (..., 2) as complex numbers (...), in the same memory.
+    """View positions (..., 2) as complex numbers (...), in the same memory.
 
     NumPy is several times slower over an axis of two.
     """

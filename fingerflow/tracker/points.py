@@ -1,4 +1,4 @@
-"""Points tracked from the key frame in which they were seeded through the frames after it."""
+"""Tracking of points from the key frame in which they were seeded through the frames after it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Knowledge of other frames, and limits of computing time, for the tracking of a frame.
+    """Knowledge of other frames while one frame is tracked, and limits of computing time.
 
     Attributes:
         lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
@@ -58,7 +58,10 @@ STREAM = Knowledge(ahead=False, searched=ROWS, patience=TRUSTED)
 
 
 class _Pending(NamedTuple):
-    """Template update of some rows (L,), due before frame number `due`, for the deformation `warp` (L, 2, 2)."""
+    """Planned update of the templates with indices `rows` (L,), due before frame number `due`.
+
+    `warp` (L, 2, 2) is the deformation of the new templates.
+    """
 
     due: int
     rows: Array
@@ -67,7 +70,7 @@ class _Pending(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Points found in a frame, before motion and templates are updated from it.
+    """Tracked points of a frame after recovery and correction, before motion and templates are updated from it.
 
     Attributes:
         corrected: (1, N) points.
@@ -81,7 +84,7 @@ class Resolved(NamedTuple):
 
 
 class Points:
-    """N points and the key frame in which they were seeded.
+    """Tracker of N points from the key frame in which they were seeded: their templates, motion and deformation.
 
     The deformation of the skin around them is fitted to them and to A points that were seeded before and are known in
     the key frame too: points in a narrow band alone would not determine it.
@@ -144,7 +147,7 @@ class Points:
 
     @property
     def as_seeded(self) -> FoundPoints:
-        """Return the result (1, N) of the points in their own key frame."""
+        """Return the tracking result (1, N) of the points in their own key frame."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
@@ -153,11 +156,11 @@ class Points:
         return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
 
     def pass_over(self, frames: int) -> None:
-        """Skip frames without information: points are predicted along their speed."""
+        """Skip `frames` frames without information; points are predicted along their speed."""
         self._gap += frames
 
     def expect(self, ahead: int = 1) -> Array:
-        """Return the predicted positions (N, 2) px, so many frames after the last one that was tracked or skipped."""
+        """Return the positions (N, 2) px predicted `ahead` frames after the last one that was tracked or skipped."""
         return self.motion.expect(self._gap + ahead)
 
     def follow(self, images: Images, around: FoundPoints | None = None) -> Steps[FoundPoints]:
@@ -182,20 +185,23 @@ class Points:
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
 
     def look(self, image: Images, guess: Array) -> FoundPoints:
-        """Return the points found in one image near guesses (N, 2); in any thread, while other frames are tracked."""
+        """Track the points in one image near guesses (N, 2), without any update.
+
+        Any thread may call it while other frames are tracked.
+        """
         return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
 
     def resolve(
         self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
     ) -> Resolved:
-        """Recover lost points (1, N) of a frame after `look` and correct the positions.
+        """Recover the points (1, N) that `look` lost in a frame, and correct all positions for the deformation.
 
         `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
         """
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
-        """Update motion and templates from a frame (1, N) that counts, and verify its points.
+        """Update motion and templates from a frame (1, N) that counts, verify its points, and return them.
 
         `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
         begun.
@@ -206,15 +212,15 @@ class Points:
         return run_alone(self._verified(image, found))
 
     def changes(self, index: int) -> bool:
-        """Return whether templates are to be updated before the frame of this number: earlier frames must end first."""
+        """Return whether template updates are due before the frame of this number; earlier frames must end first."""
         return any(one.due <= index for one in self._pending)
 
     def update_due(self, index: int) -> None:
-        """Update the templates that are due before the frame of this number, in the order in which they were found."""
+        """Carry out the template updates that are due before the frame of this number, in the order of planning."""
         run_alone(self._updated(index))
 
     def prepare_ahead(self) -> None:
-        """Prepare a part of the templates that are due later, so that no frame waits for all of them.
+        """Prepare a part of the templates of the next planned update, so that no frame waits for all of them.
 
         Any thread may call it while others track frames. A part is always a multiple of `ROWS`: sums of an exported
         graph differ in the last digit by a row's place in a call, and timing must not change results.
@@ -237,7 +243,7 @@ class Points:
             self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
     def _prepared(self, pending: _Pending, rows: int) -> Steps[None]:
-        """Prepare so many more rows of a pending update, or those that are left."""
+        """Prepare up to `rows` more templates of a planned update."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
         some = slice(done, done + rows)
         if done < len(pending.rows):
@@ -257,7 +263,7 @@ class Points:
         return (yield from self._finished_all(images, followed, around))
 
     def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
-        """Track all points, or some rows, in one image near guesses."""
+        """Track all points, or those with indices `rows`, in one image near guesses."""
         guess = guess.astype(np.float32, copy=False)
         followed: Followed = yield Call(
             self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
@@ -271,7 +277,7 @@ class Points:
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
 
     def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
-        """Recover lost points, correct positions and update the motion for images that were tracked in one call."""
+        """Complete images that were tracked in one call: recover lost points, correct positions, update the motion."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
             followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
@@ -282,7 +288,7 @@ class Points:
         return (yield from self._checked_templates(corrected, before.place, len(images)))
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
-        """Track the points that were lost in any of the images again, frame by frame, with a search."""
+        """Track points that were lost in any of several images again, frame by frame, with a search."""
         motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
@@ -299,7 +305,10 @@ class Points:
         return Followed(found, place, speed)
 
     def _ways_to_find(self, image: Images, rows: Array) -> tuple[Look, Search]:
-        """Return how `recover` looks and searches for these points in an image; it numbers them from 0."""
+        """Return the functions by which `recover` tracks and searches for the points `rows` in an image.
+
+        They number these points from 0.
+        """
 
         def look(places: Array, some: Array) -> Steps[FoundPoints]:
             return self._looked(image, places, rows[some])
@@ -317,7 +326,7 @@ class Points:
     def _recovered(
         self, image: Images, guess: Array, found: FoundPoints, frames: int
     ) -> Steps[tuple[FoundPoints, Array | None, bool]]:
-        """Recover the lost points of a frame.
+        """Recover the lost points of a frame by tracking and searching again.
 
         Return the result, the points (N,) that were searched for (None if none), and whether many of the points that
         are not where their motion leads were found elsewhere, by a search or by several steps.
@@ -345,12 +354,15 @@ class Points:
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
-        """Return the positions (N, 2) px predicted from neighbours, given the points found so far in a frame."""
+        """Predict positions (N, 2) px of points in a frame from the neighbours found in it so far."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 
     def _corrected(self, found: FoundPoints, around: FoundPoints) -> Steps[Corrected]:
-        """Mark outliers and correct the points for the deformation; with template "previous" return them unchanged."""
+        """Mark outliers and correct the positions for the deformation.
+
+        With template "previous" the points are returned unchanged.
+        """
         if not self._by_key:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
             nothing = np.zeros(found.status.shape, np.float32)
@@ -367,7 +379,7 @@ class Points:
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
     def _judged(self, found: FoundPoints) -> Steps[FoundPoints]:
-        """Mark tracked points that are off their neighbours or far more uncertain than they are."""
+        """Mark outliers: tracked points that deviate from their neighbours, or are far more uncertain than these."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
         if self._neighbours is None:
@@ -381,7 +393,7 @@ class Points:
         return found
 
     def _known_of_templates(self, others: int) -> tuple[Array, Array]:
-        """Return the template statistics and F_0^-1 of (N + A) points.
+        """Return the statistics and inverse deformation F_0^-1 of the templates of N points and A surrounding ones.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """
@@ -396,9 +408,10 @@ class Points:
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
     ) -> Steps[FoundPoints]:
-        """Check the templates after frames and return the points found, with the last known positions as estimates.
+        """Check after some frames whether templates need an update; return the points found.
 
-        With template "previous" new templates are prepared from the last image.
+        Their estimates are the last known positions. With template "previous" new templates are prepared from the last
+        image.
         """
         self._gap = 0
         self._followed += frames
@@ -413,10 +426,10 @@ class Points:
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _check_templates(self, warp: Array, shift: Array) -> None:
-        """Find the templates whose window edges have shifted by more than `UPDATE_PX`, and plan their update.
+        """Plan the update of templates whose window edges have shifted by more than `UPDATE_PX`.
 
-        It is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so fast
-        that the update interval is shorter, it is due as soon as possible.
+        An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so
+        fast that the update interval is shorter, it is due as soon as possible.
         """
         window, frames = self._engine.settings.window_px, self._followed - self._checked
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
@@ -434,7 +447,7 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Verify the points and return them with their covariance since the key frame.
+        """Verify the subsets of tracked points; return the points with their covariance since the key frame.
 
         Points that fail are NaN, with the status WINDOW_DIFFERS.
         """
@@ -453,7 +466,7 @@ class Points:
         return rejected(found, differs, TrackStatus.WINDOW_DIFFERS) if differs.any() else found
 
     def _last_warp(self) -> Array:
-        """Return the deformation gradient (N, 2, 2) in the last frame, NaN where it is not known."""
+        """Return the deformation gradient (N, 2, 2) of the skin at each point in the last frame; NaN if not known."""
         assert self._last is not None
         warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
         return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
@@ -467,13 +480,16 @@ class Points:
 
 
 def beside(parts: list[FoundPoints]) -> FoundPoints:
-    """Return the results of different points in the same frames, concatenated along the points."""
+    """Concatenate the results of different points in the same frames."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
 
 
 def _last_seen(points: Array, before: Array) -> Array:
-    """Return points (n, N, 2) with lost ones replaced by their last position, at first that of `before` (N, 2)."""
+    """Replace lost points among (n, N, 2) by their last known position.
+
+    In the first frame it is that of `before` (N, 2).
+    """
     places = points.copy()
     for one in places:
         gone = ~known_of(one)
@@ -484,7 +500,7 @@ def _last_seen(points: Array, before: Array) -> Array:
 
 
 def _update_interval(fastest: float) -> int:
-    """Return the frames to the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
+    """Return the update interval: frames to the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
 
     Within it, window edges that shift by `fastest` px a frame shift by `FASTEST_PX` at most, if 1 frame allows it.
     """

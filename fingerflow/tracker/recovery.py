@@ -1,4 +1,4 @@
-"""Lost-point recovery: a search for points that were not found near their predictions."""
+"""Lost-point recovery: search for points that registration did not find near their predictions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEARER = 0.5  # px from the guess, below which tracking again would find nothin
 
 
 class Recovered(NamedTuple):
-    """Result of a frame after lost-point recovery.
+    """Tracking result of a frame after lost-point recovery.
 
     Attributes:
         found: (1, N) points.
@@ -36,7 +36,7 @@ class Recovered(NamedTuple):
 
 
 def lost_points(status: Array) -> Array:
-    """Return a mask (...) of the points with texture inside the frame that were not found, or found and rejected."""
+    """Return a mask (...) of the lost points: with texture and inside the frame, but not found, or rejected."""
     lost: Array = status >= TrackStatus.NOT_CONVERGED
     return lost
 
@@ -50,7 +50,7 @@ def recover(
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
 ) -> Steps[Recovered]:
-    """Search for the lost points of a frame (1, N) around their guesses (N, 2).
+    """Recover lost points of a frame (1, N) by an exhaustive search around their guesses (N, 2).
 
     If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
     tracked where their neighbours predict them. There are up to three rounds: after a jump of the skin, a few points
@@ -91,10 +91,10 @@ def recover(
 
 
 def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
-    """Return points (1, L), rejected with FORWARD_BACKWARD unless their backward search `returns` (L,) to the start.
+    """Reject points (1, L) whose backward search does not return to the start, with the status FORWARD_BACKWARD.
 
-    Each point is searched for backward, independently of the forward search. It returns if it misses the start by at
-    most the forward-backward limit plus 1 px, the accuracy of a search.
+    `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
+    the start by at most the forward-backward limit plus 1 px, the accuracy of a search.
     """
     wrong = ~returns[None] & (found.status == TrackStatus.TRACKED)
     if not wrong.any():
@@ -104,7 +104,7 @@ def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
 
 
 def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Return points (n, N) of which some (n, N) have no position and another status."""
+    """Return points (n, N) with those marked in `which` (n, N) rejected: without a position, with another status."""
     points, covariance = found.points.copy(), found.covariance.copy()
     points[which] = covariance[which] = np.nan
     changed = np.where(which, np.uint8(status), found.status)
@@ -112,7 +112,7 @@ def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoin
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return points (n, N) with some rows replaced by `again`."""
+    """Return points (n, N) with those of indices `rows` replaced by `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

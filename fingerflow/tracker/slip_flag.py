@@ -1,4 +1,4 @@
-"""Slip flag of a stream: residual of the best rigid motion of the points in contact, compared with its noise."""
+"""Slip flag of a stream, from the residual of the best rigid motion of the points in contact over its noise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FRAMES = 3  # in a row, before the flag is raised or withdrawn
 
 
 class SlipState(NamedTuple):
-    """Slip residual and flag of a frame.
+    """Slip residual and slip flag of a frame.
 
     Attributes:
         residual: px, root mean square of a component; NaN where fewer than 8 points are in contact.
@@ -29,14 +29,15 @@ class SlipState(NamedTuple):
 
 
 class SlipFlag:
-    """Slip flag of a stream, raised two frames after the first frame that shows slip, plus the latency of a frame.
+    """Slip flag of a stream.
 
-    Displacement counts from the position of each point when its contact began. Skin that spreads under a growing normal
-    force is not rigid either: the flag means that skin in contact deforms, which under a steady force is partial slip.
-    On trials of `fingerflow.synthetic.PartialSlip` it is raised when 6 to 15 % of the contact have slipped, a fifth of
-    the way to full slip; in a contact 4 mm long, tracked with windows of 15 px, at 22 %. Skin that slides as a whole is
-    rigid: its earlier stretch stays, and with it the flag. At a reseeding each new point takes over the displacement of
-    the nearest old points. If too few of these are known, the flag is not withdrawn before the contact ends.
+    It is raised two frames after the first frame that shows slip, plus the latency of a frame. Displacement counts from
+    the position of each point when its contact began. Skin that spreads under a growing normal force is not rigid
+    either: the flag means that skin in contact deforms, which under a steady force is partial slip. On trials of
+    `fingerflow.synthetic.PartialSlip` it is raised when 6 to 15 % of the contact have slipped, a fifth of the way to
+    full slip; in a contact 4 mm long, tracked with windows of 15 px, at 22 %. Skin that slides as a whole is rigid: its
+    earlier stretch stays, and with it the flag. At a reseeding each new point takes over the displacement of the
+    nearest old points. If too few of these are known, the flag is not withdrawn before the contact ends.
 
     Attributes:
         slipping: the flag after the last frame.
@@ -49,7 +50,7 @@ class SlipFlag:
         self.slipping = False
 
     def follow_others(self, before: Array, points: Array) -> None:
-        """Take over the displacement of the previous points for newly seeded points (N, 2) px.
+        """Transfer the displacement of the previous points to newly seeded points (N, 2) px.
 
         In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
@@ -66,7 +67,7 @@ class SlipFlag:
             self._held |= self.slipping
 
     def see(self, points: Array, std: Array, covered: Array) -> SlipState:
-        """Add a frame, given in order, and return its slip residual and flag.
+        """Add the next frame, and return its slip residual and flag.
 
         Args:
             points: (N, 2) px, NaN where lost.
@@ -103,7 +104,7 @@ class SlipFlag:
 
 
 def rigid_residual_rms(before: Array, after: Array) -> float:
-    """Return the root mean square of a component of the residual of the best rigid motion (Procrustes).
+    """Return the RMS residual, per component, of the best rigid motion from points `before` to `after` (Procrustes).
 
     Points (N,) are x + i y.
     """

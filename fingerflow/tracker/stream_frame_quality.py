@@ -1,4 +1,4 @@
-"""Check of the frames of a stream: whether a frame is a valid image of the trial, without later frames.
+"""Check whether the frames of a stream are valid images of the trial, without later frames.
 
 Recordings are checked with later frames (`tracker.frame_returns`), where the limits common to both are defined.
 """
@@ -37,7 +37,7 @@ _FLICKER, _CHANGES = 8, 16  # changes of light, in so many frames, from which on
 
 
 class Blocks(NamedTuple):
-    """Block means of a frame, by which it is compared with others.
+    """Block means of a frame, by which it is compared with other frames.
 
     Attributes:
         means: (views, rows, columns).
@@ -51,7 +51,7 @@ class Blocks(NamedTuple):
 
 
 class FrameCheck:
-    """Detection of invalid frames by their own light and by comparison with the last usable frame.
+    """Detection of invalid frames of a stream, by their own light and by comparison with the last usable frame.
 
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
     - Lost lines: lines of the contact view without light.
@@ -91,7 +91,10 @@ class FrameCheck:
         self._changes: deque[bool] = deque(maxlen=_CHANGES)  # whether light changed by more than half of the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[Blocks, int]:
-        """Return block means of all views (1, 1, H, W), and the status that a frame has by itself; in any thread."""
+        """Compute the block means of all views (1, 1, H, W), and the frame's status without regard to other frames.
+
+        Any thread may call it.
+        """
         (contact, lines), *others = (_blocks(views[name][0, 0]) for name in sorted(views))  # the contact view is first
         every = [contact, *(one for one, _ in others)]
         means = np.stack(every)
@@ -104,7 +107,7 @@ class FrameCheck:
         return blocks, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
     def see(self, number: int, blocks: Blocks, status: int, tracked: int, elsewhere: bool) -> int | None:
-        """Return the status of a frame, given in order; None if it is deferred.
+        """Determine the status of the next frame by comparison with earlier ones; None if it is deferred.
 
         `settle` must then be called before the next frame is added.
 
@@ -150,7 +153,7 @@ class FrameCheck:
         return USABLE
 
     def settle(self, following: Blocks | None) -> int:
-        """Return the status of the deferred frame.
+        """Determine the status of the deferred frame from the next frame.
 
         Args:
             following: block means of the next frame; None if there is none or it is not usable.
@@ -170,13 +173,13 @@ class FrameCheck:
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:
-    """Return the block means (rows, columns) of a view (H, W), and the means of the lines that are read."""
+    """Return the block means (rows, columns) of a view (H, W), and the means of the lines read."""
     blocks, lines = block_means(view[None])
     return blocks[0], lines[0]
 
 
 class _DoubtfulStep(NamedTuple):
-    """Deferred frame, with its step per frame and the usual step."""
+    """Frame that is not judged yet, with its grey-level distance from the last usable frame and the usual distance."""
 
     number: int
     blocks: Blocks
@@ -186,13 +189,19 @@ class _DoubtfulStep(NamedTuple):
 
 
 def _steps(blocks: Blocks, before: Blocks) -> Array:
-    """Return the distance of each row of blocks, of all views, from that before, relative to the mean of the view."""
+    """Return the distance of each row of blocks, of all views, from an earlier frame.
+
+    It is relative to the mean of each view.
+    """
     rows: Array = row_distances(blocks.even[None], before.even[None])[0]
     return rows
 
 
 def _change_of_light(blocks: Blocks, before: Blocks) -> float:
-    """Return the change by which at least nine tenths of the blocks became lighter, or darker: |log of the ratio|."""
+    """Return the change of light common to nine tenths of the blocks: the smallest |log ratio| among them.
+
+    All of these blocks became lighter, or all became darker.
+    """
     count = blocks.light.size
     if count < _FEWEST_BLOCKS:
         return 0.0

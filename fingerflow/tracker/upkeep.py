@@ -1,4 +1,4 @@
-"""Schedule of a stream for measuring the threshold, reseeding and new key frames: by the order of frames alone."""
+"""Schedule of a stream for measuring the threshold, reseeding and new key frames, by frame order alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 class ThresholdSearch:
-    """Schedule of the threshold: in which frames it is measured, and from which frame on it applies.
+    """Schedule of the contact threshold: in which frames it is measured, and from which frame on it applies.
 
     The first frame and every fourth after it are tried until one shows contact. A threshold measured in a small contact
     is measured again whenever the contact has grown by a fourth.
@@ -27,31 +27,31 @@ class ThresholdSearch:
         self._found: tuple[int, float] | None = None
 
     def begin(self) -> None:
-        """Search again after a reseeding; the threshold in use stays until contact is found."""
+        """Restart the search for a threshold after a reseeding; the one in use stays until contact is found."""
         self._searching, self._asked, self._found = True, None, None
 
     def due(self, index: int) -> float | None:
-        """Return a new threshold that applies from this frame on; None for the one in use."""
+        """Return the new threshold that applies from frame `index` on; None if the one in use stays."""
         found = self._found
         return found[1] if found is not None and index >= found[0] + self._lag else None
 
     def used(self) -> None:
-        """Take the new threshold into use; all earlier frames have ended."""
+        """Record that the new threshold is now in use; all earlier frames have ended."""
         self._searching, self._area, self._asked, self._found = False, math.nan, None, None
 
     def wants(self, index: int) -> bool:
-        """Return whether the threshold is to be measured in this frame."""
+        """Return whether the threshold is to be measured in frame `index`."""
         if self._searching:
             return index % self._EVERY == 0
         return self._asked is not None and index == self._asked + self._lag
 
     def passed_over(self) -> None:
-        """Skip a frame that does not count: a measurement planned for it is made in a later frame."""
+        """Record that a frame does not count; a measurement planned for it is made in a later frame."""
         if self._asked is not None and self._found is None:
             self._asked = None
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
-        """Add a frame with its area of real contact and return whether its threshold is to be used.
+        """Add a frame with its real contact area; return whether the threshold measured in it is to be used.
 
         `measured` is the threshold found in it, NaN for none, None if it was not measured.
         """
@@ -70,7 +70,7 @@ REKEY = "rekey"  # cause of a new key frame for the same points
 
 
 class Upkeep:
-    """Schedule of reseedings and of new key frames: by the order and numbers of the frames alone.
+    """Schedule of reseedings and of new key frames, by the order and numbers of the frames alone.
 
     Args:
         share: a new key frame is taken when less than this share of its points is tracked, several frames in a row.
@@ -86,20 +86,20 @@ class Upkeep:
         self._found = self._keyed = self._few = self._lost = self._tried = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
-        """Record that, before frame `index`, so many points were seeded in the frame of number `key_frame`."""
+        """Record a reseeding before frame `index`: `found` points, seeded in the frame of number `key_frame`."""
         self.keyed(key_frame, found)
         self._found, self._tried, self._lost = found, index, 0
 
     def keyed(self, key_frame: int, points: int) -> None:
-        """Record that so many points are tracked from a new key frame."""
+        """Record a new key frame and the number of points tracked from it."""
         self.key_frame, self._keyed, self._few = key_frame, points, 0
 
     def kept(self, index: int) -> None:
-        """Record that, before frame `index`, a reseeding would not have given more points."""
+        """Record that a reseeding before frame `index` was not made, as it would not have given more points."""
         self._tried = index
 
     def see(self, index: int, number: int, tracked: int) -> str:
-        """Return the cause of a change after a frame with so many tracked points: "lost", `REKEY`, or "" for none."""
+        """Add a frame with its number of tracked points; return the cause of a change: "lost", `REKEY`, or ""."""
         self._lost = self._lost + 1 if tracked < max(self._found / 2, 1) else 0
         self._few = self._few + 1 if tracked < self._share * self._keyed else 0
         if self._lost >= self._IN_A_ROW and index - self._tried >= self._RESTART:

@@ -1,4 +1,7 @@
-"""Correlation of windows in two images, and the deformation that matches them best: NumPy on samples of an engine."""
+"""Correlation of windows in two images, and the deformation that matches them best, in NumPy.
+
+An engine samples the windows.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +24,23 @@ _FARTHEST = 0.15  # largest change of a component of the deformation in one iter
 
 
 class Centred(NamedTuple):
-    """Windows (N, m) with their mean subtracted, and their variance (N,)."""
+    """Windows (N, m) with their mean subtracted, and the variance (N,) of each window."""
 
     part: Array
     variance: Array
 
     @classmethod
     def of(cls, windows: Array) -> Centred:
-        """Subtract the mean of each window (N, m)."""
+        """Subtract from each window (N, m) its mean."""
         part = windows - windows.mean(1, keepdims=True)
         return cls(part, np.square(part).mean(1))
 
 
 def correlation_of(first: Centred, second: Centred) -> Array:
-    """Return the normalised correlation (N,) of centred windows, independent of gain and offset; NaN for blank ones."""
+    """Return the normalised correlation (N,) of pairs of centred windows; NaN for blank windows.
+
+    It is independent of gain and offset.
+    """
     variances = first.variance * second.variance
     found = (first.part * second.part).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
     result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))
@@ -44,10 +50,10 @@ def correlation_of(first: Centred, second: Centred) -> Array:
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
 ) -> Steps[Array]:
-    """Return the deformations (N, 2, 2), near `warp`, for which windows match the earlier ones best, centres fixed.
+    """Fit the deformations (N, 2, 2) with which present windows match the earlier ones best, starting from `warp`.
 
-    Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As the centre is fixed,
-    a window with a wrong centre keeps a residual.
+    Centres stay fixed. Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As
+    the centre is fixed, a window with a wrong centre keeps a residual.
 
     Args:
         first: (N, m) grey levels T of the earlier windows.

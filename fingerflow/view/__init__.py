@@ -1,4 +1,4 @@
-"""Local page to set up a scene and view results (`fingerflow view`), served to this computer only."""
+"""Local web page to set up scenes and view results (`fingerflow view`), served to this computer only."""
 
 from fingerflow.errors import FingerflowError
 

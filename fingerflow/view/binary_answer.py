@@ -1,7 +1,6 @@
-"""Packing of facts and arrays into one binary answer, which a browser reads without parsing numbers."""
+"""Packing of metadata and arrays into one binary answer, which a browser reads without parsing numbers."""
 
 import json
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -9,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.schema.json_value import json_value
+
 _KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # those with JavaScript typed arrays
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the length of a JSON text (little-endian uint32, then 4 zeros), the text, and the arrays that it lists.
+    """Return an answer as bytes: length of a JSON text (little-endian uint32, 4 zeros), the text, the arrays it lists.
 
     The text and each array are padded to 8 bytes.
 
@@ -25,23 +26,8 @@ def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byte
         if array.dtype.str[1:] not in _KINDS:
             raise ValueError(f"{name} is {array.dtype}; one of {', '.join(_KINDS.values())} can be sent")
     listed = [{"name": n, "type": _KINDS[a.dtype.str[1:]], "shape": a.shape} for n, a in whole.items()]
-    text = json.dumps({**plain(facts), "arrays": listed}).encode()
+    text = json.dumps({**json_value(facts), "arrays": listed}).encode()
     blocks = [struct.pack("<I", len(text)), b"\0" * 4, text, b"\0" * (-len(text) % 8)]
     for array in whole.values():
         blocks += [array.tobytes(), b"\0" * (-array.nbytes % 8)]
     return b"".join(blocks)
-
-
-def plain(value: Any) -> Any:
-    """Return a value in JSON types; NaN and infinity become None (null)."""
-    if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(one) for one in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value

@@ -1,6 +1,5 @@
-"""Draft of a scene file while it is set up: its values, its problems, and writing it."""
+"""Draft of a scene file that the page edits: its values, its problems, and writing it to disk."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_template import scene_text
 
 Keys = tuple[str, ...]
+_MOST_FILES = 300  # that a page lists
 #: Messages for missing keys that need more than "is needed".
 _NEEDED = {
     "background.frames": "is needed: frames of the empty glass",
@@ -37,20 +37,20 @@ class Draft:
     """
 
     def __init__(self, path: Path, text: str, stored: str | None) -> None:
-        """Parse a text; `stored` is the content of the file as read, or None if there was no file."""
+        """Parse the text of a scene file; `stored` is the content of the file on disk, or None if there is none."""
         self.path = path.resolve()
         self._document = _parsed(text, self.path)
         self._stored = stored
 
     @classmethod
     def of_file(cls, path: Path) -> "Draft":
-        """Read a file; raise FingerflowError if it cannot be read or is not TOML."""
+        """Return the draft of an existing scene file; raise FingerflowError if it cannot be read or is not TOML."""
         text = _read(path)
         return cls(path, text, text)
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """Return a scene in the folder of a recording, with two views side by side; unknown keys are left out."""
+        """Return the draft of a scene for a recording, in its folder, with two views side by side; keys to fill in are absent."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
@@ -61,25 +61,25 @@ class Draft:
 
     @property
     def text(self) -> str:
-        """Return the content of the file as it would be written."""
+        """Return the text of the scene file as it would be written."""
         return tomlkit.dumps(self._document)
 
     @property
     def is_stored(self) -> bool:
-        """Return whether the file on disk has this content, as read or written by this page."""
+        """Return whether the draft equals the file on disk, as this page has read or written it."""
         return self._stored == self.text and self.path.is_file()
 
     def values(self) -> dict[str, Any]:
-        """Return the values as plain TOML types."""
+        """Return the values of the draft as plain TOML types."""
         return dict(self._document.unwrap())
 
     def kind(self) -> str:
-        """Return the kind of the scene, as stated or by default."""
+        """Return the kind of the scene as the draft states it, else the default."""
         values = self.values()
         return str(values.get("kind", default_kind(values)))
 
     def problems(self) -> list[dict[str, str]]:
-        """Return the problems as key and message; the message continues a sentence that begins with the key."""
+        """Return problems of the draft as (key, message); a message continues a sentence that begins with the key."""
         _, problems = check_scene(self.values(), self.path.parent, "process")
         found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
         for one in found:
@@ -88,11 +88,12 @@ class Draft:
         return found
 
     def scene(self) -> Scene:
-        """Return the scene; raise FingerflowError if it is invalid."""
+        """Return the scene that the draft describes; raise FingerflowError if it is invalid."""
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Set a key; None removes it, and its table if that becomes empty and is not required.
+        """Set a key of the draft, or remove it if the value is None; a table that becomes empty is removed if not
+        required.
 
         Raises:
             FingerflowError: a parent of the key is not a table.
@@ -118,7 +119,7 @@ class Draft:
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Set the kind of the scene; views that do not fit it are reset to the halves of a frame, or to all of it.
+        """Set the kind of the scene; views that do not fit the kind are replaced by its default views.
 
         Raises:
             FingerflowError: unknown kind.
@@ -135,7 +136,7 @@ class Draft:
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Check the scene as `process` would, then write the file and return its path.
+        """Check the draft as `process` would, then write the scene file and return its path.
 
         Raises:
             NeedsLeaveError: a file exists with other content than was read, and `replace` is false.
@@ -152,17 +153,16 @@ class Draft:
         return path
 
 
-def files_beside(path: Path, most: int = 300) -> list[str]:
-    """Return up to `most` names in the folder of a file, without hidden ones, to choose from."""
+def files_beside(path: Path) -> list[str]:
+    """Return up to 300 names in the folder of a file, without hidden ones, to choose from."""
     try:
-        names: Iterable[str] = sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))
+        return sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))[:_MOST_FILES]
     except OSError:
         return []
-    return list(names)[:most]
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
-    """Return default views: two are the halves of a frame, as in the rig of Willemet et al. 2021; one is all of it."""
+    """Return default views of a kind of scene: the halves of a frame, as in Willemet et al. 2021, or all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2
@@ -179,7 +179,7 @@ def _is_needed(table: str) -> bool:
 
 
 def _free(path: Path) -> Path:
-    """Return the path, with a number if such a file exists."""
+    """Return a path that no file has: the given one, or the same with a number."""
     found, number = path, 2
     while found.exists():
         found, number = path.with_stem(f"{path.stem}-{number}"), number + 1

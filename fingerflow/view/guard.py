@@ -1,4 +1,4 @@
-"""Access control: only the page itself, on this computer, opened by the printed address, is answered."""
+"""Access control of the server: only its own page, on this computer and opened with the token, is answered."""
 
 import hmac
 import secrets
@@ -24,7 +24,8 @@ _HEADERS = {
 
 
 class Guard:
-    """Middleware that refuses host names of other computers (DNS rebinding), other origins and a missing token.
+    """Middleware that refuses foreign host names (DNS rebinding), requests from other sites, and requests without the
+    token.
 
     Attributes:
         token: secret of this run; in the address that opens the page, then in a cookie that only its pages send.
@@ -79,7 +80,7 @@ class Guard:
 
 
 def _opens(headers: Headers, scope: Scope) -> bool:
-    """Return whether a request follows a link to the page itself, which still requires the token."""
+    """Return whether a request only opens the start page by a link from another site; it still needs the token."""
     return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
 
 

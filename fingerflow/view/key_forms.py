@@ -1,4 +1,4 @@
-"""Forms of the page for the keys of a scene, from the table that `process` checks them with."""
+"""Forms of the page for the keys of a scene, derived from the table that `process` uses for validation."""
 
 from typing import Any
 
@@ -16,16 +16,10 @@ from fingerflow.schema.scene_keys import (
     Whole,
     words_of,
 )
-from fingerflow.schema.scene_kinds import KINDS
-
-
-def kinds() -> list[str]:
-    """Return the kinds of scenes."""
-    return list(KINDS)
 
 
 def forms() -> dict[str, dict[str, Any]]:
-    """Return the tables with help and keys; of each key name, label, help, kind of input, limits and default.
+    """Return a form for each table: its help, and for each key name, label, help, kind of input, limits and default.
 
     Views are not among them, as they are drawn.
     """

@@ -1,4 +1,4 @@
-"""Opening of a path: a scene, a recording or a result."""
+"""Opening of a path given to `fingerflow view`: a scene, a recording or a result."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,7 @@ RESULT = "result.h5"  #: name that `fingerflow process` gives it, in the scene's
 
 
 class Opened(NamedTuple):
-    """Draft of a scene, path of a result, or both."""
+    """Opened path: a draft of a scene, the path of a result, or both."""
 
     draft: Draft | None
     result: Path | None
@@ -40,7 +40,7 @@ def open_path(path: Path | None) -> Opened:
 
 
 def _draft_of(result: Path) -> Draft | None:
-    """Return the draft of a result's scene file, or None if that cannot be read."""
+    """Return a draft of the scene file from which a result was computed; None if that file cannot be read."""
     try:
         return Draft.of_file(scene_of(result))
     except FingerflowError:

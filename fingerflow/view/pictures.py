@@ -1,4 +1,4 @@
-"""Frames as 8-bit grey pictures, with one contrast for a recording."""
+"""Frames of a recording as 8-bit grey images for display, all with the same contrast."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ _DARKEST, _BRIGHTEST = 0.2, 99.9  # percentiles drawn black and white
 
 
 class Pictures:
-    """Pictures of the frames of a recording.
+    """Converter of a recording's frames to 8-bit images for display, subsampled to a limited size.
 
     Attributes:
         every: subsampling step along both axes, px.
@@ -34,11 +34,11 @@ class Pictures:
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """Return the picture (h, w) of a frame, by its index in the file."""
+        """Return the 8-bit image (h, w) of a frame, given by its index in the file."""
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return the picture (h, w) of a frame (H, W)."""
+        """Return the 8-bit image (h, w) of a frame (H, W), subsampled by `every`, with the recording's contrast."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Preview of the results of `process` for one frame: its own stages, run for that frame only."""
+"""Preview of what `process` will compute, for one frame: the same stages, run for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from fingerflow.schema.scene import Scene
 
 @dataclass(frozen=True)
 class Preview:
-    """Contact of one frame.
+    """Predicted contact in one frame.
 
     Attributes:
         mask: (h, w) bool, real contact in the contact view; for a soft sensor gross contact.
@@ -38,7 +38,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Seeded points: (N, 2) px of the topography view, the frame of the seeding, and warnings."""
+    """Predicted seeding: points (N, 2) px of the topography view, the frame in which they are seeded, and warnings."""
 
     points: NDArray[np.floating]
     frame: int
@@ -46,7 +46,7 @@ class Chosen:
 
 
 class Previewer:
-    """Stages of a scene, begun but not finished, that step through single frames.
+    """Stages of a scene that are run for single frames, to predict what `process` computes.
 
     Every frame is assumed usable: `process` decides that from all frames together.
     """
@@ -71,7 +71,7 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """Begin the contact stage; `before`, if given, has the same recording, views and background."""
+        """Begin the contact stage; `before` is a previewer with the same recording, views and background, or None."""
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
@@ -83,7 +83,7 @@ class Previewer:
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings of the opened files and of the stages so far."""
+        """Return the warnings of opening the files and of the stages so far."""
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
@@ -96,7 +96,7 @@ class Previewer:
         return {name: values for name, values in given.items() if values is not None}
 
     def contact(self, frame: int) -> Preview:
-        """Return the contact of a frame, counted from 0 for the first selected one."""
+        """Return the predicted contact in a frame, counted from 0 at the first selected frame."""
         if frame not in self._seen:
             with torch.inference_mode():
                 found = run_alone(self._contact.step(self._batch(frame)))
@@ -138,11 +138,17 @@ class Previewer:
         return Batch(indices, read_frames(self._inputs.recording[indices]))
 
 
+def all_of_default_stages(scene: Scene) -> list[str]:
+    """Return all variables of the stages of a default run, including those computed only on request."""
+    stages = plan(None, scene).stages
+    return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
+
+
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """Return the series of a contact stage at one frame, without the frame status."""
+    """Return the values of a contact stage's series at one frame, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
 def _opened(scene: Scene) -> Sequence[Any]:
-    """Return the settings that the opened files depend on."""
+    """Return the settings that determine which files are opened and how."""
     return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

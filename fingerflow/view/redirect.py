@@ -1,4 +1,4 @@
-"""File that leads a browser to the page, so that the token of the page stands in no command line."""
+"""HTML file that redirects a browser to the page, so that no command line contains the token."""
 
 import html
 from collections.abc import Iterator
@@ -8,13 +8,14 @@ from tempfile import TemporaryDirectory
 
 
 def redirect(address: str) -> str:
-    """Return an HTML page that leads to an address."""
-    return f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}"><title>fingerflow</title>'
+    """Return an HTML page that leads to an address; without an icon of its own a browser would ask for one."""
+    leads = f'<meta http-equiv="refresh" content="0;url={html.escape(address)}">'
+    return f'<!doctype html>{leads}<link rel="icon" href="data:,"><title>fingerflow</title>'
 
 
 @contextmanager
 def redirect_file(address: str) -> Iterator[Path]:
-    """Yield an HTML file that leads to an address and that no other user can read; it is removed in the end.
+    """Yield an HTML file that redirects to an address and that no other user can read; it is removed at the end.
 
     Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
     """

@@ -1,4 +1,4 @@
-"""Results read from their file on demand: one frame, one time series or one point at a time."""
+"""Reader of a result for the page: one frame, one time series or one point at a time, on demand."""
 
 import json
 from collections.abc import Hashable, Sequence
@@ -21,14 +21,14 @@ Values = NDArray[np.floating]
 
 
 class Results:
-    """Results of one file.
+    """Reader of one result file for the page.
 
     A key names what can be shown: a variable and, after a colon, its component: "divergence", "strain:exx",
     "displacement:length".
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file; raise FingerflowError if it is not a result."""
+        """Open a result file; raise FingerflowError if the file is not a result."""
         self.path = path.resolve()
         self.data = open_result(self.path)
         # Reading one frame takes 2 ms by xarray and h5netcdf, which look the variable up each time; directly 0.2 ms.
@@ -40,13 +40,13 @@ class Results:
         }
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the result file."""
         self.data.close()
         self._stored.clear()
         self._file.close()
 
     def facts(self) -> dict[str, Any]:
-        """Return what can be shown, with definitions."""
+        """Return metadata of the result, and which maps and time series can be shown, with definitions."""
         data = self.data
         return {
             "path": str(self.path),
@@ -69,7 +69,7 @@ class Results:
         }
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return numbers and arrays of a frame, counted from 0 in the result; `shown` is a key or None.
+        """Return numbers and arrays of a frame, counted from 0 in the result; `shown` is the key of the map, or None.
 
         Raises:
             FingerflowError: no such frame or key.
@@ -96,11 +96,11 @@ class Results:
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
-        """Return the indices (M, 3) of the points at the corners."""
+        """Return the indices (M, 3) of the points at the corners of the triangles."""
         return np.asarray(self.data["triangles"].values, dtype=np.int32)
 
     def course(self, key: str) -> Values:
-        """Return the time series (frames,) of a variable of frames, or of "time"."""
+        """Return the time series (frames,) of a variable that has one value a frame, or of "time"."""
         if key == "time":
             return np.asarray(self.data["time"].values, dtype=np.float64)
         values = self._component(key, self.data[self._name(key)].dims, self.data[self._name(key)].values)
@@ -109,7 +109,7 @@ class Results:
         return values
 
     def of_points(self, key: str, points: Sequence[int]) -> Values:
-        """Return the history (frames, points) of a variable, for unique points in rising order."""
+        """Return time series (frames, points) of a variable at selected points, each once and in rising order."""
         variable = self.data[self._name(key)]
         if variable.dims[:2] != ("frame", "point"):
             raise FingerflowError(f"{key} is not of points: choose a map of points")
@@ -118,16 +118,8 @@ class Results:
             raise FingerflowError(f"the points {list(points)[:5]} are not among the {self.data.sizes['point']} there")
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
-    def median_of_points(self, key: str, points: Sequence[int]) -> Values:
-        """Return the median (frames,) over these points, ignoring NaN."""
-        from fingerflow.pipeline.stages.preparation.series import (
-            nanmedian,  # with it comes torch: not before the first picture
-        )
-
-        return nanmedian(self.of_points(key, points))
-
     def range_of(self, key: str) -> tuple[float, float]:
-        """Return the range of colours for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
+        """Return the colour range for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
 
         It is computed from 24 frames, without 4 % of the values at either end.
         """
@@ -146,16 +138,16 @@ class Results:
         return self._ranges[key]
 
     def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
-        """Return a CSV table with one row a frame: time series, and the median over selected points."""
+        """Return CSV text with one row a frame: time series, and the medians over selected points."""
         columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
         columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
         if point_key and len(points):
             said = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
-            columns[f"{point_key} of {said} ({self._units(point_key)})"] = self.median_of_points(point_key, points)
+            columns[f"{point_key} of {said} ({self._units(point_key)})"] = median_of(self.of_points(point_key, points))
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """Return a CSV table of a frame with one row a point, or one a triangle if `shown` is of triangles."""
+        """Return CSV text of one frame with one row a point, or a triangle if `shown` is a variable of triangles."""
         _, arrays = self.frame(frame, shown)
         if shown is not None and self.data[self._name(shown)].dims[1] == "triangle":
             corners = self.triangles()
@@ -170,7 +162,7 @@ class Results:
         return _csv(columns)
 
     def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """List all variables of these dimensions, one entry a component."""
+        """List all variables with these dimensions for the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
@@ -185,7 +177,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return the factor, to one digit, that draws the largest displacements as 40 px; 0 without displacement."""
+        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 without any."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")
@@ -205,7 +197,7 @@ class Results:
         return self._component(key, self.data[name].dims[1:], self._row(name, frame))
 
     def _row(self, name: str, frame: int) -> NDArray[Any]:
-        """Return a variable in one frame as stored."""
+        """Return the stored values of a variable in one frame."""
         if name not in self._stored:
             self._stored[name] = self._file[name]
         row: NDArray[Any] = self._stored[name][frame]
@@ -225,6 +217,14 @@ class Results:
     def _within(self, frame: int) -> None:
         if not 0 <= frame < self.data.sizes["frame"]:
             raise FingerflowError(f"frame {frame} is not among the {self.data.sizes['frame']} of {self.path}")
+
+
+def median_of(values: Values) -> Values:
+    """Return the median (frames,) over points of a history (frames, points), ignoring NaN."""
+    # With it comes torch: not before the first picture.
+    from fingerflow.pipeline.stages.preparation.series import nanmedian
+
+    return nanmedian(values)
 
 
 def _csv(columns: dict[str, NDArray[Any]]) -> str:

@@ -1,4 +1,4 @@
-"""Preview of the results of `process` for one frame of a soft sensor: markers and contact."""
+"""Preview of what `process` will compute for one frame of a soft sensor: markers and contact."""
 
 from dataclasses import replace
 from typing import Any
@@ -45,7 +45,7 @@ class SensorPreviewer(Previewer):
         self._contact = self._still
 
     def contact(self, frame: int) -> Preview:
-        """Return the contact of a frame, counted from 0 for the first selected one."""
+        """Return the predicted contact in a frame, counted from 0 at the first selected frame."""
         if frame not in self._seen:
             frames = np.union1d(self._looks, [frame])
             place = int(np.searchsorted(frames, frame))
@@ -64,10 +64,10 @@ class SensorPreviewer(Previewer):
 
     def chosen(self) -> Chosen:
         """Raise FingerflowError: a soft sensor has markers, all of which are followed, and no seeded points."""
-        raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are chosen")
+        raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
-        """Return a contact stage of these frames only, with their markers followed."""
+        """Return a contact stage for these frames only, with their markers detected and matched."""
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
         trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})

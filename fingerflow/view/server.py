@@ -1,4 +1,4 @@
-"""HTTP server of the page, whose requests a session answers."""
+"""HTTP server of the page; a session answers its requests."""
 
 import socket
 import threading
@@ -15,8 +15,8 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variables import VARIABLES
-from fingerflow.view.binary_answer import plain
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.open_path import open_path
@@ -33,7 +33,7 @@ Answer = Callable[[Request], Any]
 
 
 class Served:
-    """Server of a page, until it is closed.
+    """Running server of a page, until it is closed.
 
     Attributes:
         address: URL that opens the page, with its token.
@@ -67,7 +67,7 @@ class Served:
             self.session.close()
 
     def __enter__(self) -> Self:
-        """Serve in a separate thread."""
+        """Serve the page in a separate thread."""
         self._thread = threading.Thread(target=self.run, name="view")
         self._thread.start()
         return self
@@ -94,8 +94,7 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
 
 
 def application(session: Session) -> Starlette:
-    """Return the application with all routes; access control is left to `Guard`."""
-    asked = session
+    """Return the web application with all routes, without access control, which `Guard` adds."""
 
     def number(request: Request, name: str) -> int:
         text = request.query_params.get(name, "")
@@ -104,45 +103,45 @@ def application(session: Session) -> Starlette:
         return int(text)
 
     def frame(request: Request) -> bytes:
-        return asked.frame(number(request, "frame"), "contact" in request.query_params)
+        return session.frame(number(request, "frame"), "contact" in request.query_params)
 
     def result_frame(request: Request) -> bytes:
         query = request.query_params
-        return asked.result_frame(number(request, "frame"), query.get("shown") or None, "contact" in query)
+        return session.result_frame(number(request, "frame"), query.get("shown") or None, "contact" in query)
 
     def calibration(_: Request) -> Response:
-        picture = asked.calibration_picture()
+        picture = session.calibration_picture()
         return Response(status_code=404) if picture is None else Response(picture, media_type="image/png")
 
     def report(_: Request) -> Response:
-        page = asked.report_page()
+        page = session.report_page()
         # Sandboxed: the report can send no requests and is not of this origin, whatever it contains.
         rules = {"Content-Security-Policy": _REPORT_MAY}
         return Response(status_code=404) if page is None else Response(page, media_type="text/html", headers=rules)
 
     routes = [
-        Route("/api/ready", _get(lambda _: asked.ready())),
+        Route("/api/ready", _get(lambda _: session.ready())),
         Route("/api/variables", _get(lambda _: {name: one.shown() for name, one in VARIABLES.items()})),
-        Route("/api/setup", _get(lambda _: asked.setup())),
+        Route("/api/setup", _get(lambda _: session.setup())),
         Route("/api/frame", _get(frame)),
-        Route("/api/points", _get(lambda _: asked.points())),
-        Route("/api/forces", _get(lambda _: asked.forces())),
+        Route("/api/points", _get(lambda _: session.points())),
+        Route("/api/forces", _get(lambda _: session.forces())),
         Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(asked.edit), methods=["POST"]),
-        Route("/api/calibrate", _post(asked.calibrate), methods=["POST"]),
-        Route("/api/write", _post(asked.write), methods=["POST"]),
-        Route("/api/process", _post(asked.process), methods=["POST"]),
-        Route("/api/end", _post(asked.end), methods=["POST"]),
-        Route("/api/report", _post(asked.report), methods=["POST"]),
-        Route("/api/progress", _get(lambda request: asked.progress(request.query_params.get("of", "")))),
+        Route("/api/edit", _post(session.edit), methods=["POST"]),
+        Route("/api/calibrate", _post(session.calibrate), methods=["POST"]),
+        Route("/api/write", _post(session.write), methods=["POST"]),
+        Route("/api/process", _post(session.process), methods=["POST"]),
+        Route("/api/end", _post(session.end), methods=["POST"]),
+        Route("/api/report", _post(session.report), methods=["POST"]),
+        Route("/api/progress", _get(lambda request: session.progress(request.query_params.get("of", "")))),
         Route("/report.html", _get(report)),
-        Route("/api/result", _get(lambda _: asked.result())),
+        Route("/api/result", _get(lambda _: session.result())),
         Route("/api/result/frame", _get(result_frame)),
-        Route("/api/result/range", _get(lambda request: asked.result_range(request.query_params.get("key", "")))),
-        Route("/api/result/triangles", _get(lambda _: asked.triangles())),
-        Route("/api/result/courses", _get(lambda request: asked.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(asked.history), methods=["POST"]),
-        Route("/api/result/table", _post(asked.table), methods=["POST"]),
+        Route("/api/result/range", _get(lambda request: session.result_range(request.query_params.get("key", "")))),
+        Route("/api/result/triangles", _get(lambda _: session.triangles())),
+        Route("/api/result/courses", _get(lambda request: session.courses(request.query_params.getlist("key")))),
+        Route("/api/result/history", _post(session.history), methods=["POST"]),
+        Route("/api/result/table", _post(session.table), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
     handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
@@ -174,7 +173,7 @@ def _response(answer: Any) -> Response:
         return Response(answer, media_type=_BINARY)
     if isinstance(answer, str):
         return Response(answer, media_type=_CSV)
-    return JSONResponse(plain(answer))
+    return JSONResponse(json_value(answer))
 
 
 async def _put_right(_: Request, error: Exception) -> Response:

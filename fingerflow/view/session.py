@@ -1,4 +1,4 @@
-"""Session of a page: draft of a scene, result, and their open files. A lock serialises requests."""
+"""Session of a page: draft of a scene, result, their open files, and running commands. A lock serialises requests."""
 
 import contextlib
 import json
@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings import Recording, force_columns, open_recording
+from fingerflow.recordings import force_columns, open_recording
 from fingerflow.results.result import is_result, open_result
 from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
+from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.views import View
 from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside
-from fingerflow.view.key_forms import forms, kinds
+from fingerflow.view.key_forms import forms
 from fingerflow.view.open_path import RESULT, Opened
 from fingerflow.view.pictures import Pictures
-from fingerflow.view.results import Results
+from fingerflow.view.results import Results, median_of
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not need it
     from fingerflow.view.preview import Previewer
@@ -32,7 +33,7 @@ Facts = dict[str, Any]
 
 
 class Session:
-    """State behind one page; several windows share it."""
+    """State of a page on the server; several browser windows share it."""
 
     def __init__(self, opened: Opened) -> None:
         self._lock = threading.RLock()
@@ -47,7 +48,7 @@ class Session:
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Open what the page requests first; errors are reported when the page requests it."""
+        """Open in advance what the page requests first; errors are reported only when the page requests it."""
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -55,7 +56,7 @@ class Session:
             self.setup()
 
     def ready(self) -> Facts:
-        """Import the preview modules, which contact, points and forces need but the first picture does not."""
+        """Import the modules for previews, which the first image does not need."""
         import fingerflow.view.preview  # noqa: F401
 
         return {"ready": True}
@@ -73,7 +74,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """Return the draft: its values, its problems, and facts about its recording."""
+        """Return the draft for the page: its values, its problems, and facts about its recording."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -86,27 +87,31 @@ class Session:
                 "stored": draft.is_stored,
                 "text": draft.text,
                 "forms": forms(),
-                "kinds": kinds(),
+                "kinds": list(KINDS),
                 "files": files_beside(draft.path),
                 "channels": self._channels(),
                 "calibration_picture": _calibration_picture(draft) is not None,
                 "result": self._result_path is not None,
             }
             try:
-                facts["recording"] = _recording_facts(self._pictures_of_draft())
+                pictures = self._pictures_of_draft()
             except FingerflowError as error:
                 facts["recording"], facts["recording_error"] = None, str(error)
             else:
-                if self._pictures_of_draft().recording.times is None:
+                facts["recording"] = _recording_facts(pictures)
+                if pictures.recording.times is None:
                     said = "is needed: the recording does not state it (Hz)"
                     facts["problems"].append({"key": "recording.frame_rate", "said": said})
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return a frame by its index in the file, packed, with the predicted contact if the scene is valid."""
+        """Return the image of a frame (index in the file), packed, with the predicted contact if the scene is valid."""
         with self._lock:
             pictures = self._pictures_of_draft()
-            _check_frame(frame, pictures.recording)
+            if not 0 <= frame < len(pictures.recording):
+                raise FingerflowError(
+                    f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
+                )
             facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
             arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
             if contact:
@@ -119,7 +124,7 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """Return the points that would be seeded, packed."""
+        """Return the points that `process` would seed, packed."""
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -140,13 +145,13 @@ class Session:
             return packed(facts, {"time": previewer.times, **previewer.forces()})
 
     def calibration_picture(self) -> bytes | None:
-        """Return the picture that `fingerflow calibrate` wrote beside the draft's calibration file, or None."""
+        """Return the overlay image that `fingerflow calibrate` wrote beside the draft's calibration file, or None."""
         with self._lock:
             path = None if self._draft is None else _calibration_picture(self._draft)
             return None if path is None else path.read_bytes()
 
     def calibrate(self, asked: Mapping[str, Any]) -> Facts:
-        """Calibrate from pictures in the views of the draft, as `fingerflow calibrate` does, and return the setup.
+        """Calibrate from image files in the views of the draft, as `fingerflow calibrate` does, and return the setup.
 
         `asked` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
         folder; the calibration file written there becomes that of the draft.
@@ -175,7 +180,7 @@ class Session:
             return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Set keys of the draft, `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
+        """Set keys of the draft as the page requests, `{"set": [[key, value], ...]}`; {"toml": text} is a TOML value.
 
         Raises:
             FingerflowError: keys that cannot be set, after all others were set.
@@ -220,7 +225,7 @@ class Session:
             if is_result(to) and _same_frames(to, scene):  # reuses results that are still valid
                 arguments += ["--from", to]
             if asked.get("all"):
-                from fingerflow.view.outputs import all_of_default_stages
+                from fingerflow.view.preview import all_of_default_stages
 
                 for name in all_of_default_stages(scene):
                     arguments += ["--variable", name]
@@ -237,7 +242,7 @@ class Session:
             return self.progress("report")
 
     def report_page(self) -> bytes | None:
-        """Return the report written in this session, or None."""
+        """Return the HTML report written in this session, or None."""
         run = self._runs.get("report")
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
@@ -264,7 +269,7 @@ class Session:
     # Looking at results.
 
     def result(self) -> Facts:
-        """Return what the result holds, its scene's views, and facts about the recording."""
+        """Return facts about the result, the views of its scene, and its recording."""
         with self._lock:
             result = self._opened_result()
             facts = result.facts()
@@ -280,7 +285,7 @@ class Session:
             return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
-        """Return a frame of the result (index from 0), packed, with its picture if the recording can be read."""
+        """Return a frame of the result (index from 0), packed, with its image if the recording can be read."""
         with self._lock:
             result = self._opened_result()
             numbers, arrays = result.frame(frame, shown)
@@ -298,31 +303,31 @@ class Session:
             return packed(facts, arrays)
 
     def result_range(self, key: str) -> Facts:
-        """Return the range of colours of a key."""
+        """Return the range of the colour scale for a key (variable and component)."""
         with self._lock:
             return {"key": key, "range": self._opened_result().range_of(key)}
 
     def triangles(self) -> bytes:
-        """Return the corners of the triangles, packed."""
+        """Return the corners of the result's triangles, packed."""
         with self._lock:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series by key, packed."""
+        """Return time series of the result for several keys, packed."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the history of one point with its status, or the median of several, and the number of known points."""
+        """Return the time series of one point with status, or the median of several, and the number of known points."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
-            arrays = {"values": result.median_of_points(key, points)}
+            values = result.of_points(key, points)
+            arrays = {"values": median_of(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
             if len(points) == 1 and "status" in result.data:
                 arrays["status"] = result.of_points("status", points)[:, 0].astype(np.uint8)
-            known = np.isfinite(result.of_points(key, points)).sum(axis=1).astype(np.int32)
-            return packed({"key": key, "points": points}, {**arrays, "known": known})
+            return packed({"key": key, "points": points}, arrays)
 
     def table(self, asked: Mapping[str, Any]) -> str:
         """Return a CSV table of the shown time series, or of the shown frame."""
@@ -340,7 +345,7 @@ class Session:
         return self._draft
 
     def _channels(self) -> list[str]:
-        """Return the columns of the draft's force file; none if it cannot be read, which `forces` reports."""
+        """Return the column names of the draft's force file; none if it cannot be read, which `forces` reports."""
         file = self._drafted().values().get("forces", {}).get("file")
         path = self._drafted().path.parent / file if isinstance(file, str) and file else None
         try:
@@ -372,7 +377,7 @@ class Session:
         return self._preview[1]
 
     def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
-        """Return the contact of a frame, by its index in the file; no arrays for frames that are not selected."""
+        """Return the predicted contact in a frame (index in the file); frames that are not selected have no arrays."""
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}
@@ -428,11 +433,6 @@ def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer
     return Previewer(scene, before)
 
 
-def _check_frame(frame: int, recording: Recording) -> None:
-    if not 0 <= frame < len(recording):
-        raise FingerflowError(f"frame {frame} is not among the {len(recording)} of {recording.path}")
-
-
 def _calibration_picture(draft: Draft) -> Path | None:
     file = draft.values().get("calibration", {}).get("file")
     picture = (draft.path.parent / file).with_suffix(".png") if isinstance(file, str) and file else None
@@ -440,13 +440,13 @@ def _calibration_picture(draft: Draft) -> Path | None:
 
 
 def _same_frames(result: Path, scene: Scene) -> bool:
-    """Return whether the recording settings of a result equal those of a scene."""
+    """Return whether a result and a scene have equal settings of the recording."""
     with open_result(result) as earlier:
         return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
 
 
 def _value_of(value: Any) -> Any:
-    """Return a value of the page; TOML text is parsed, and kept as text if it is invalid."""
+    """Convert a value sent by the page: TOML text is parsed, and kept as text if it is invalid."""
     if not isinstance(value, dict):
         return value
     try:

@@ -17,48 +17,38 @@ import numpy as np
 import pytest
 
 import fingerflow
-from fingerflow import cli, load_scene, process
+from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.results.result import save_result
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
 
-
-# A press in a frame of 96 x 240 px: what takes 300 frames of the rig a minute takes a blink.
-def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of the command line, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
+Command = Callable[..., int]
+Printed = pytest.CaptureFixture[str]
+Patch = pytest.MonkeyPatch
 
 
-def test_info_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_as_json(command: Command, tmp_path: Path, capsys: Printed) -> None:
     np.save(tmp_path / "frames.npy", np.zeros((5, 8, 10), dtype=np.uint8))
-    assert main_with(monkeypatch, "info", str(tmp_path / "frames.npy"), "--json") == 0
+    assert command("info", tmp_path / "frames.npy", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
 
 
-def test_version_of_the_command_and_of_the_module(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main_with(monkeypatch, "--version") == 0
+def test_version_of_the_command_and_of_the_module(command: Command, capsys: Printed) -> None:
+    assert command("--version") == 0
     said = capsys.readouterr().out
     assert said == f"fingerflow {fingerflow.__version__}\n"
-    command = [sys.executable, "-m", "fingerflow", "--version"]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == said
+    module = [sys.executable, "-m", "fingerflow", "--version"]
+    assert subprocess.run(module, capture_output=True, text=True, check=True).stdout == said
 
 
-def test_init_never_overwrites(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_init_never_overwrites(command: Command, tmp_path: Path, capsys: Printed) -> None:
     path = tmp_path / "scene.toml"
-    assert main_with(monkeypatch, "init", str(path)) == 0
+    assert command("init", path) == 0
     before = path.read_text()
-    assert main_with(monkeypatch, "init", str(path)) == 2
+    assert command("init", path) == 2
     assert "exists already" in capsys.readouterr().err
     assert path.read_text() == before
 
@@ -77,14 +67,10 @@ def test_init_never_overwrites(
     ],
 )
 def test_mistakes_are_named_without_a_traceback(
-    arguments: tuple[str, ...],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: Command, arguments: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: Patch, capsys: Printed
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main_with(monkeypatch, *arguments) == 2
+    assert command(*arguments) == 2
     assert said.lower() in capsys.readouterr().err.lower()
     assert not list(tmp_path.iterdir())
 
@@ -130,24 +116,22 @@ def interrupt_after(calls: int, function: Callable[..., Any] | None = None) -> C
     ],
 )
 def test_an_interrupted_simulation_leaves_nothing(
-    place: str, calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: Command, place: str, calls: int, tmp_path: Path, monkeypatch: Patch, capsys: Printed
 ) -> None:
     monkeypatch.setattr("fingerflow.synthetic.Press", lambda: TINY_PRESS)
     monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
-    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "trials" / "one")) == 130
+    assert command("simulate", "press", tmp_path / "trials" / "one") == 130
     monkeypatch.undo()
     assert not [path for path in tmp_path.rglob("*") if path.name != "trials"]
     assert "nothing was left half-written" in capsys.readouterr().err
 
 
-def test_a_simulation_is_there_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_simulation_is_there_whole(command: Command, tmp_path: Path, monkeypatch: Patch, capsys: Printed) -> None:
     monkeypatch.setattr("fingerflow.synthetic.Press", lambda: TINY_PRESS)
-    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "one")) == 0
+    assert command("simulate", "press", tmp_path / "one") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
     assert load_scene(tmp_path / "one" / "scene.toml").recording.frame_rate == 8.0
-    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "one")) == 2
+    assert command("simulate", "press", tmp_path / "one") == 2
     assert "exists already" in capsys.readouterr().err
 
 
@@ -217,17 +201,18 @@ def test_an_interrupt_in_a_callback_ends_the_command() -> None:
     ],
 )
 def test_an_interrupted_command_leaves_nothing(
+    command: Command,
     arguments: tuple[str, ...],
     place: str,
     calls: int,
     trial: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: Patch,
+    capsys: Printed,
 ) -> None:
     before = sorted(trial.iterdir())
     monkeypatch.setattr(place, interrupt_after(calls))
-    assert main_with(monkeypatch, *(part.format(trial=trial, new=tmp_path) for part in arguments)) == 130
+    assert command(*(part.format(trial=trial, new=tmp_path) for part in arguments)) == 130
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
     assert sorted(trial.iterdir()) == before
@@ -245,12 +230,12 @@ def test_an_interrupted_command_leaves_nothing(
     ],
 )
 def test_an_interrupted_report_leaves_whole_files_only(
-    place: str, calls: int, left: set[str], tmp_path: Path, trial: Path, monkeypatch: pytest.MonkeyPatch
+    command: Command, place: str, calls: int, left: set[str], tmp_path: Path, trial: Path, monkeypatch: Patch
 ) -> None:
     shutil.copytree(trial, tmp_path, dirs_exist_ok=True)
     before = {path.name for path in tmp_path.iterdir()}
     monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
-    assert main_with(monkeypatch, "report", str(tmp_path / "scene.toml")) == 130
+    assert command("report", tmp_path / "scene.toml") == 130
     monkeypatch.undo()
     assert {path.name for path in tmp_path.iterdir()} - before == left
     if left:
@@ -258,39 +243,41 @@ def test_an_interrupted_report_leaves_whole_files_only(
             assert len(video) == 8
 
 
-def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_keeps_the_result_of_before(
+    command: Command, trial: Path, tmp_path: Path, monkeypatch: Patch
+) -> None:
     (tmp_path / "result.h5").write_bytes(b"of before")
     monkeypatch.setattr("fingerflow.results.store.FileStore.finish", interrupt_after(0))
     arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
     arguments += ("--output", str(tmp_path / "result.h5"))
-    assert main_with(monkeypatch, *arguments) == 2  # it is no result
-    assert main_with(monkeypatch, *arguments, "--overwrite") == 130
+    assert command(*arguments) == 2  # it is no result
+    assert command(*arguments, "--overwrite") == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
 
 
-def test_what_cannot_be_written_is_said(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_written_is_said(command: Command, trial: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     for arguments in (
         ("export-table", str(trial / "result.h5"), str(tmp_path / "file" / "table.csv")),
         ("simulate", "press", str(tmp_path / "file" / "one")),
         ("init", str(tmp_path / "file" / "scene.toml")),
     ):
-        assert main_with(monkeypatch, *arguments) == 2
+        assert command(*arguments) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path) -> None:
     output = tmp_path / "calibration.toml"
     arguments = ("calibrate", "--ring", str(trial / "ring.png"), "--output", str(output), "--hole-radius-mm", "2.0")
-    assert main_with(monkeypatch, *arguments, "--contact", "10", "200", "5", "220") == 0
+    assert command(*arguments, "--contact", "10", "200", "5", "220") == 0
     text = output.read_text()
     assert "rows = [10, 200]" in text
     assert "columns = [5, 220]" in text
     # OpenCV's circle of radius 40 covers the pixels within 40.5 of its centre; drawn without blur.
     assert float(text.split("mm_per_px = ")[1].split()[0]) == pytest.approx(2.0 / 40.25, rel=0.02)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.png", "calibration.toml"]
-    assert main_with(monkeypatch, *arguments, "--topography", "0", "1", "0", "1") == 2
-    assert main_with(monkeypatch, *arguments, "--contact", "0", "999", "0", "1") == 2
+    assert command(*arguments, "--topography", "0", "1", "0", "1") == 2
+    assert command(*arguments, "--contact", "0", "999", "0", "1") == 2
 
 
 @pytest.mark.parametrize(
@@ -303,12 +290,13 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
     ],
 )
 def test_a_file_of_somebody_else_is_refused(
+    command: Command,
     foreign: str,
     arguments: tuple[str, ...],
     trial: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: Patch,
+    capsys: Printed,
 ) -> None:
     """Before anything is computed or written; `--overwrite` replaces it."""
     new = tmp_path / "new"
@@ -316,18 +304,18 @@ def test_a_file_of_somebody_else_is_refused(
     (new / foreign).write_bytes(b"years of work")
     before = sorted(new.iterdir())
     filled = [part.format(trial=trial, new=new) for part in arguments]
-    assert main_with(monkeypatch, *filled) == 2
+    assert command(*filled) == 2
     said = capsys.readouterr().err
     assert foreign in said
     assert "--overwrite" in said
     assert (new / foreign).read_bytes() == b"years of work"
     assert sorted(new.iterdir()) == before
     monkeypatch.setattr("fingerflow.report.page._sections", lambda *_: [])  # figures take long, and are drawn elsewhere
-    assert main_with(monkeypatch, *filled, "--overwrite") == 0
+    assert command(*filled, "--overwrite") == 0
     assert (new / foreign).read_bytes() != b"years of work"
 
 
-def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: Printed) -> None:
     """Neither by a name that was given nor by a default one."""
     from fingerflow.cli.synthetic_recordings import _remove_demo
     from fingerflow.results.atomic_write import spare

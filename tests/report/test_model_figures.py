@@ -30,19 +30,6 @@ def line(axes: Axes, label: str) -> np.ndarray:
     return next(np.array(line.get_data()) for line in axes.lines if line.get_label() == label)
 
 
-def test_the_models_meet_at_the_same_critical_load(axes: Axes) -> None:
-    partial_slip.draw_models(axes, 0.8, 0.4)
-    assert texts(axes) == {"Coulomb", r"$\mu_k = \mu_s$", r"$\mu_s$ = 0.80, $\mu_k$ = 0.40"}
-    critical = 0.8**2 / 1.2
-    load, area = line(axes, r"$\mu_s$ = 0.80, $\mu_k$ = 0.40")
-    assert load[-1] == pytest.approx(critical)
-    assert area[-1] == pytest.approx(1 / 3)
-    load, area = line(axes, r"$\mu_k = \mu_s$")
-    assert load[-1] == pytest.approx(critical)
-    assert area[-1] == 0
-    assert np.interp(0.75 * critical, load, area) == pytest.approx(0.5, abs=0.01)
-
-
 def test_a_trial_with_its_corridor_collapse_and_fit(axes: Axes) -> None:
     trial = simulate_trial(0.8, 0.4, seed=1)
     verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
@@ -131,16 +118,3 @@ def test_groups_and_their_psychometric_curves(axes: Axes) -> None:
     observer.draw_psychometric(curves, {"softer": (x, answers, trials, fit)}, "amplitude (µm)")
     assert texts(curves) == {"softer, 200 trials"}
     np.testing.assert_allclose(curves.lines[1].get_ydata()[[0, -1]], fit([0, 3]))
-
-
-def test_curl_against_force_and_divergence(axes: Axes) -> None:
-    observer.draw_median_curl(axes, [[0.0, 1.0]], [[0.0, 0.002]])
-    texts(axes)
-    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0, 2])
-    divergence, curl = np.array([0.01, 0.02, 0.03, 0.04]), np.array([0.001, 0.003, 0.002, 0.004])
-    correlation = observing.pearson(divergence, curl)
-    scatter = Figure().subplots()
-    observer.draw_curl_against_divergence(scatter, divergence, curl, ["a", "a", "b", "b"], correlation)
-    texts(scatter)
-    assert len(scatter.lines) == 2
-    assert "r = 0.80" in scatter.get_title()

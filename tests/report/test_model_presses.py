@@ -10,6 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import CONTACT_N
+from fingerflow.models.skin_onset import since_onset
 from fingerflow.report import half_sphere, strains_at_depth
 from fingerflow.report import simulated_presses as presses
 from fingerflow.report.model_movie import movie_pictures, write_movie
@@ -84,7 +85,7 @@ def test_the_energy_of_an_even_stretch_is_its_formula(simulated: SimulatedPresse
 
 
 def test_maps_are_the_chain_turned_about_its_axis(simulated: SimulatedPresses, part: SubFigure) -> None:
-    axes = presses.draw_strain_maps(part, simulated, (LOW, HIGH))
+    axes = presses.draw_strain_maps(part, simulated)
     xx, yy, xy = (one.images[0].get_array() for one in axes[1])
     np.testing.assert_allclose(np.ma.filled(xx, np.nan), np.ma.filled(yy, np.nan).T, atol=1e-12)
     middle = xx.shape[0] // 2
@@ -98,7 +99,7 @@ def test_maps_are_the_chain_turned_about_its_axis(simulated: SimulatedPresses, p
 
 
 def test_energy_maps_share_their_scale(simulated: SimulatedPresses, part: SubFigure) -> None:
-    axes = presses.draw_energy_maps(part, simulated, (LOW, HIGH))
+    axes = presses.draw_energy_maps(part, simulated)
     low, high = (one.images[0] for one in axes)
     assert low.get_clim() == high.get_clim()
     assert low.get_array().max() > high.get_array().max()
@@ -135,14 +136,29 @@ def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
     compression = strains_at_depth.draw_compression(parts[5].subplots(), simulated, depth)
     assert np.max(surface[0].lines[2].get_ydata()) == pytest.approx(1e-3 * float(pressure[2].max()))
     assert [np.unique(line.get_ydata()).tolist() for line in maps[0].lines] == [[1.2], [2.0]]
-    ratio = float(expected.sigma_z[2].min() / expected.sigma_z[1].min())
-    assert f"friction 1 over 0.2: {ratio:.3f}, in print 1.2" in receptor[0].get_title()
-    # A dilatation of the central part and a compression aside.
+    peak = expected.sigma_z.amin(-1)
+    # All skin sticks at a friction of 0.2 already: only against a slippery contact does friction add to the stress.
+    assert float(peak[2] / peak[1]) == pytest.approx(1.001, abs=0.003)
+    assert float(peak[2] / peak[0]) == pytest.approx(1.165, abs=0.02)
+    assert f"over 0.2: {peak[2] / peak[1]:.3f}, over 0.02: {peak[2] / peak[0]:.3f}, in print" in receptor[0].get_title()
+    # A contact wider than 1.6 depths compresses the middle along the surface too, unlike figure S10 E.
     values = over_time.collections[0].get_array()[-1]
-    assert values[10] > 0 > values[4]
+    assert values[10] < 0
     ends = [line.get_ydata()[-1] for line in compression.lines]
     assert f"{ends[2] / ends[1]:.3f}" in compression.get_title()
     assert all(end > 0 for end in ends)
+
+
+def test_numbers_of_the_page_on_models(simulated: SimulatedPresses) -> None:
+    """docs/methods/models.md compares them with print; a chain of 251 elements is within 10 % of the page's 1001."""
+    area = np.pi / 4 * (1e3 * simulated.chain.contact_length[-1].numpy()) ** 2
+    np.testing.assert_allclose(area, [70.9, 67.8, 67.5], rtol=0.04)
+    traction = (simulated.chain.traction[-1].abs().sum(-1) / simulated.chain.pressure[-1].sum(-1)).numpy()
+    np.testing.assert_allclose(traction, [0.020, 0.115, 0.121], rtol=0.05)
+    np.testing.assert_allclose(simulated.energy()[-1, 1:], [0.110, 0.031], rtol=0.25)
+    divergence = since_onset(simulated.chain).area_median[-1].numpy()
+    assert divergence[1] == pytest.approx(0.013, abs=0.002)
+    assert abs(divergence[2]) < 0.001
 
 
 def test_the_movie_has_a_picture_a_time(simulated: SimulatedPresses, tmp_path: Path) -> None:

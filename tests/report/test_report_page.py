@@ -16,9 +16,9 @@ from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_numbers import key_numbers, scatter, with_uncertainty
 from fingerflow.report.settings_table import settings_tables, transform_rows
-from fingerflow.report.telling_frames import Telling, telling_frames
+from fingerflow.report.telling_frames import telling_frames
 from fingerflow.schema.scene import Scene
-from fingerflow.synthetic import Press, write_recording
+from tests.small_trials import SMALL_PRESS, write_small
 
 Trial = tuple[Scene, xr.Dataset]
 
@@ -26,13 +26,8 @@ Trial = tuple[Scene, xr.Dataset]
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     folder = tmp_path_factory.mktemp("press") / "recording"
-    small = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9)}
-    write_recording(folder, Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **small))  # type: ignore[arg-type]
-    path = folder / "scene.toml"
-    text = path.read_text(encoding="utf-8").replace("window_px = 25", "window_px = 15")
-    path.write_text(text[: text.index("[stream]")].replace("px = 6.0", "px = 4.0"), encoding="utf-8")
+    scene = load_scene(write_small(folder, SMALL_PRESS))
     (folder / "calibration.png").write_bytes(b"\x89PNG of a target")
-    scene = load_scene(path)
     return scene, process(scene)
 
 
@@ -76,6 +71,7 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
     _, result = trial
     frames = telling_frames(result)
     assert [one.why for one in frames] == ["1 N", "2 N", "3 N", "largest force"]
+    assert frames == sorted(frames)
     force = result["normal_force"].values
     for one, level in zip(frames, (1, 2, 3), strict=False):
         assert force[one.frame] >= level > force[one.frame - 1]
@@ -219,9 +215,3 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
         view.close()
     assert not wrong
     assert {one.split(":")[0] for one in asked} <= {"file", "data"}
-
-
-def test_telling_frames_stand_in_order(trial: Trial) -> None:
-    frames = telling_frames(trial[1])
-    assert frames == sorted(frames)
-    assert all(isinstance(one, Telling) for one in frames)

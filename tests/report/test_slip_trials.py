@@ -1,13 +1,13 @@
 """`fingerflow slip`: a line a trial, a count by both rules, figures, and errors that stop nothing."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow import cli, load_scene, process
+from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
@@ -17,23 +17,16 @@ from fingerflow.report.view_painter import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
 from tests.slip_trials import simulate_trial
 
+Command = Callable[..., int]
+Printed = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.long
 
 
-def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of the command line, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
 def test_two_trials_and_one_that_is_not_there(
-    slip_trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: Command, slip_trials: Path, tmp_path: Path, capsys: Printed
 ) -> None:
     scenes = [str(slip_trials / name / "scene.toml") for name in ("abrupt", "nothing", "fading")]
-    assert main_with(monkeypatch, "slip", *scenes, "--figure", str(tmp_path / "figures")) == 0
+    assert command("slip", *scenes, "--figure", tmp_path / "figures") == 0
     abrupt, nothing, fading, count, figures = capsys.readouterr().out.splitlines()
     assert abrupt.startswith(f"{scenes[0]}: vanishes abruptly (as printed: vanishes abruptly; ")
     assert "collapse" in abrupt
@@ -66,11 +59,8 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
             outlined = (np.abs(picture.astype(int) - STUCK).max(-1) < 40).nonzero()
             assert (len(outlined[0]) > 100) == bool(size)
             if size:
-                region, matrix = (
-                    result["stuck_region"],
-                    np.linalg.inv([*scene.calibration.topography_to_contact, [0, 0, 1]]),
-                )
-                outline = stuck_outline(region[frame].values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
+                matrix = np.linalg.inv([*scene.calibration.topography_to_contact, [0, 0, 1]])
+                outline = stuck_outline(result.isel(frame=frame))
                 assert outline is not None
                 drawn = outline / result.attrs["mm_per_px"] @ matrix[:2, :2].T + matrix[:2, 2]
                 left = outlined[1] < picture.shape[1] // 2
@@ -81,10 +71,8 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
         assert len(video) == 120
 
 
-def test_nothing_that_can_be_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main_with(monkeypatch, "slip", str(tmp_path / "a.toml"), str(tmp_path / "b.toml")) == 2
+def test_nothing_that_can_be_read(command: Command, tmp_path: Path, capsys: Printed) -> None:
+    assert command("slip", tmp_path / "a.toml", tmp_path / "b.toml") == 2
     out = capsys.readouterr().out
     assert out.count("not judged: ") == 3
     assert "0 trials" in out

@@ -1,40 +1,34 @@
 """`fingerflow figures`: which figures come from what, what is left out and why, and whole files only."""
 
 import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from fingerflow import cli
-from fingerflow.report.press_field import press_field
+from fingerflow.report.press_field import draw_median_curl, press_field
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, simulate_presses
 from fingerflow.report.supplement import FIGURES, Sources, sources
 from fingerflow.report.supplement.sheet import Sheet
 from fingerflow.report.trials_file import load_trials
 from fingerflow.synthetic import Press
 
+Command = Callable[..., int]
+Printed = pytest.CaptureFixture[str]
+Patch = pytest.MonkeyPatch
 pytestmark = pytest.mark.long
 
 
 @pytest.fixture(autouse=True)
-def small_presses(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_presses(monkeypatch: Patch) -> None:
     """Fewer elements, times and frictions than the figures have: it is the composition that is tested here."""
 
     def few() -> SimulatedPresses:
         return simulate_presses((LOW, HIGH), times=21, elements=101)
 
     monkeypatch.setattr(sources, "simulate_presses", few)
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of the command line, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["fingerflow", "figures", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def table(path: Path, columns: tuple[str, ...]) -> Path:
@@ -53,9 +47,9 @@ def table(path: Path, columns: tuple[str, ...]) -> Path:
 
 
 def test_without_tables_the_simulated_figures_come_and_the_others_say_why(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: Command, tmp_path: Path, capsys: Printed
 ) -> None:
-    assert run(monkeypatch, str(tmp_path / "new"), "--json") == 0
+    assert command("figures", tmp_path / "new", "--json") == 0
     found = {one["figure"]: one for one in json.loads(capsys.readouterr().out)}
     assert list(found) == [*FIGURES, "M3"]
     assert {name for name, one in found.items() if one["file"] is None} == {"S1", "S7", "S11", "S12"}
@@ -133,6 +127,8 @@ def test_the_field_of_the_simulated_press_is_its_truth() -> None:
     assert found.force[-1] == pytest.approx(5.0)
     assert np.isnan(found.median_curl[0])
     assert len(found.curl) == len(found.reference) > 100
+    (line,) = draw_median_curl(Figure().subplots(), found).lines
+    np.testing.assert_array_equal(line.get_data(), (found.force, 1e3 * found.median_curl))
 
 
 @pytest.mark.parametrize(
@@ -145,13 +141,9 @@ def test_the_field_of_the_simulated_press_is_its_truth() -> None:
     ],
 )
 def test_mistakes_are_named(
-    arguments: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: Patch, capsys: Printed
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "out", *arguments) == 2
+    assert command("figures", "out", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,5 +1,6 @@
 """Figures of a table of trials: what they show is what the table says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,17 @@ def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
     assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4
 
 
+def test_curl_against_divergence(axes: Axes, trials: Trials) -> None:
+    table = replace(trials, metrics={"divergence": trials.metrics["divergence"], "curl": trials.metrics["strain"]})
+    metrics.draw_curl_against_divergence(axes, table)
+    assert len(axes.lines) == 4
+    x, y = np.concatenate([line.get_data() for line in axes.lines], axis=1)
+    np.testing.assert_array_equal(np.sort(x), np.sort(1e3 * table.metrics["divergence"]))
+    assert axes.get_title().startswith(f"r = {np.corrcoef(x, y)[0, 1]:.2f} (")
+    assert axes.get_xlabel() == "median divergence (µm/mm)"
+    assert axes.get_ylabel() == "median curl (µm/mm)"
+
+
 def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:
     with pytest.raises(FingerflowError, match="no metric 'duration': it has max_force"):
         metrics.draw_distribution(axes, trials, "duration")
@@ -125,9 +137,9 @@ def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:
     [
         ("", "give a heading"),
         ("participant,trial,condition,answer\n", "0 rows"),
-        ("participant,trial,condition,answer\na,1,0,yes\n", "answer of trial 1 is 'yes'; give 1"),
-        ("participant,trial,condition,answer\na,1,0\n", "trial 1 has 3 cells, the heading 4"),
-        ("participant,trial,condition,answer,curl\na,1,0,1,much\n", "curl of trial 1 is 'much'; give a number"),
+        ("participant,trial,condition,answer\na,1,0,yes\n", "row 2: answer is 'yes'; give 1"),
+        ("participant,trial,condition,answer\na,1,0\n", "row 2: 3 cells, the heading has 4"),
+        ("participant,trial,condition,answer,curl\na,1,0,1,much\n", "row 2: curl is 'much'; give a number"),
         ("participant,trial,answer\na,1,0\n", r"t\.csv: the table of trials lacks condition"),
     ],
 )

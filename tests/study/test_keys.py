@@ -9,13 +9,7 @@ import pytest
 from fingerflow import load_scene
 from fingerflow.study import cache_keys as room
 from fingerflow.study.cache_keys import keys_of, look_at, same_content
-
-
-def _changed(folder: Path, old: str, new: str) -> room.Keys:
-    text = (folder / "scene.toml").read_text(encoding="utf-8")
-    assert old in text
-    (folder / "other.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
-    return keys_of(load_scene(folder / "other.toml"))
+from tests.small_trials import edit
 
 
 @pytest.fixture
@@ -35,7 +29,9 @@ def folder(lab: Path) -> Path:
     ],
 )
 def test_settings(folder: Path, old: str, new: str, first: str | None) -> None:
-    before, now = keys_of(load_scene(folder / "scene.toml")), _changed(folder, old, new)
+    before = keys_of(load_scene(folder / "scene.toml"))
+    edit(folder / "scene.toml", (old, new))
+    now = keys_of(load_scene(folder / "scene.toml"))
     parts = ("result", "row")
     different = [part for part in parts if getattr(before, part) != getattr(now, part)]
     assert different == ([] if first is None else list(parts[parts.index(first) :]))

@@ -8,13 +8,7 @@ import pytest
 from fingerflow.errors import FingerflowError
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, load_manifest
-
-
-def _edit(folder: Path, old: str, new: str, file: str = "trials.csv") -> None:
-    path = folder / file
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+from tests.small_trials import edit
 
 
 def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
@@ -56,8 +50,8 @@ def test_a_column_with_a_dot_is_a_key_of_the_scene(study: Manifest, lab: Path) -
 
 
 def test_errors_name_the_row(study: Manifest, lab: Path) -> None:
-    _edit(lab, "01,2,0,1", "01,2,0,maybe")
-    _edit(lab, "01,3,2,0", "01,3,,0")
+    edit(lab / "trials.csv", ("01,2,0,1", "01,2,0,maybe"))
+    edit(lab / "trials.csv", ("01,3,2,0", "01,3,,0"))
     with pytest.raises(FingerflowError) as raised:
         load_manifest(lab)
     said = str(raised.value)
@@ -66,7 +60,7 @@ def test_errors_name_the_row(study: Manifest, lab: Path) -> None:
 
 
 def test_a_trial_that_is_there_twice(study: Manifest, lab: Path) -> None:
-    _edit(lab, "01,2,0,1", "01,1,0,1")
+    edit(lab / "trials.csv", ("01,2,0,1", "01,1,0,1"))
     with pytest.raises(FingerflowError, match=r"row 3: trial 1 of participant 01, condition 0, is also .*row 2"):
         load_manifest(lab)
 
@@ -87,7 +81,7 @@ def test_columns_that_cannot_be(study: Manifest, lab: Path, column: str, said: s
 
 
 def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> None:
-    _edit(lab, "p02/2um/trial3/frames.npy", "p02/2um/gone.npy")
+    edit(lab / "trials.csv", ("p02/2um/trial3/frames.npy", "p02/2um/gone.npy"))
     changed = load_manifest(lab)
     with pytest.raises(FingerflowError, match=r"trials.csv, row 8: .*recording.frames .*gone.npy.* does not exist"):
         changed.scene_of(changed.trials[6])
@@ -95,7 +89,7 @@ def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> 
 
 def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: Path) -> None:
     assert study.design == "forced choice"
-    _edit(lab, 'trials = "trials.csv"', 'trials = "trials.csv"\ndesign = "yes/no"', "study.toml")
+    edit(lab / "study.toml", ('trials = "trials.csv"', 'trials = "trials.csv"\ndesign = "yes/no"'))
     assert load_manifest(lab).design == "yes/no"
 
 
@@ -115,7 +109,7 @@ def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: 
     ],
 )
 def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: str) -> None:
-    _edit(lab, old, new, "study.toml")
+    edit(lab / "study.toml", (old, new))
     with pytest.raises(FingerflowError, match=said):
         load_manifest(lab)
 
@@ -123,7 +117,7 @@ def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: s
 def test_a_pattern_in_place_of_a_table(study: Manifest, lab: Path) -> None:
     pattern = 'pattern = "p{participant}/{condition}um/trial{trial}/frames.npy"\n'
     pattern += 'forces = "p{participant}/{condition}um/trial{trial}/forces.csv"\nanswers = "answers.csv"'
-    _edit(lab, 'trials = "trials.csv"', pattern, "study.toml")
+    edit(lab / "study.toml", ('trials = "trials.csv"', pattern))
     text = (lab / "study.toml").read_text(encoding="utf-8")
     background = '[scene.background]\nframes = "p01/0um/trial1/empty.npy"\ndark = "p01/0um/trial1/dark.npy"\n'
     (lab / "study.toml").write_text(f"{text}\n{background}", encoding="utf-8")
@@ -148,15 +142,14 @@ def test_recordings_without_scenes(lab: Path) -> None:
 
 
 def test_answers_of_other_trials_are_refused(lab: Path) -> None:
-    _other = lab / "others.csv"
-    _other.write_text("participant,trial,answer\n77,1,1\n", encoding="utf-8")
+    (lab / "others.csv").write_text("participant,trial,answer\n77,1,1\n", encoding="utf-8")
     with pytest.raises(FingerflowError, match="none of its trials is one of"):
-        init_study(lab, _other)
+        init_study(lab, lab / "others.csv")
 
 
 def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:
-    _edit(lab, "01,1,0,0", "a_b,c,0,0")
-    _edit(lab, "01,2,0,1", "a,b_c,0,1")
+    edit(lab / "trials.csv", ("01,1,0,0", "a_b,c,0,0"))
+    edit(lab / "trials.csv", ("01,2,0,1", "a,b_c,0,1"))
     names = [entry.name for entry in load_manifest(lab).trials]
     assert len(set(names)) == len(names)
     assert names[0] == "a%5fb_0_c"

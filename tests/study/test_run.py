@@ -28,6 +28,7 @@ from fingerflow.study.run_study import plan_run, run_study
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import FAILED, MEASURED, read_row
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
+from tests.small_trials import edit
 from tests.study.blows import (
     damage,
     end,
@@ -56,8 +57,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     assert plan_run(study) == []
     assert _run(study, scheduler) == {}
     before = table_of(study)
-    text = (lab / "study.toml").read_text(encoding="utf-8")
-    (lab / "study.toml").write_text(text.replace("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"), encoding="utf-8")
+    edit(lab / "study.toml", ("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"))
     changed = load_manifest(lab)
     assert {one.redo for one in plan_run(changed)} == {"changed"}
     _run(changed, scheduler)
@@ -104,7 +104,8 @@ def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:
 def _no_room_for_the_last(jobs: list[worker.Job]) -> list[worker.Outcome]:
     if len(jobs) == 1:
         return worker.run_trials(jobs)
-    return [*worker.run_trials(jobs[:-1]), worker.Outcome(jobs[-1].entry.name, FAILED, "no memory", passing=True)]
+    (last,) = jobs[-1].manifest.trials
+    return [*worker.run_trials(jobs[:-1]), worker.Outcome(last.name, FAILED, "no memory", passing=True)]
 
 
 @pytest.mark.parametrize("act", [_killed_by_a_group, _no_room_for_the_last])
@@ -121,25 +122,17 @@ def test_what_a_group_does_not_bring_to_an_end_is_run_one_by_one(
     assert made.made["together"] == 1
 
 
-def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> None:
+def test_a_row_has_where_it_comes_from_and_reads_what_it_needs(study: Manifest, scheduler: str) -> None:
     _run(study, scheduler, only="01_0_1")
     row = read_row(study.results / "01_0_1")
     assert row is not None
     assert row.keys is not None
+    assert row.result is not None
+    path = study.results / "01_0_1" / row.result
+    assert measure(read_own(path, READ, DESCRIBED)) == measure(load_result(path)) == (row.row, row.curves)
     assert set(row.keys.inputs) == {"recording.frames", "background.frames", "background.dark", "forces.file"}
     assert {"started", "seconds", "cpu_seconds", "versions", "machine", "code", "seed", "threads"} <= set(row.made)
     assert row.made["versions"]["torch"]
-
-
-def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) -> None:
-    _run(study, scheduler, only="01_0_1")
-    made = read_row(study.results / "01_0_1")
-    assert made is not None
-    assert made.result is not None
-    path = study.results / "01_0_1" / made.result
-    row, curves = measure(read_own(path, READ, DESCRIBED))
-    assert (row, curves) == measure(load_result(path))
-    assert (row, curves) == (made.row, made.curves)
 
 
 def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
@@ -285,7 +278,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        (outcome,) = worker.run_trials([worker.Job(replace(study, trials=(entry,)), entry, "everything", codes, 1)])
+        (outcome,) = worker.run_trials([worker.Job(replace(study, trials=(entry,)), "everything", codes, 1)])
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 

@@ -22,22 +22,22 @@ from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
-from fingerflow.study.simulated import Design, simulate_table, truth_of
 from fingerflow.study.statistics import holm, sample_of, statistics_of
 from fingerflow.study.table import averaged
 from fingerflow.study.trial_files import MEASURED, TrialRow
+from tests.study.simulated_table import TableDesign, simulate_table, truth_of
 
 _STUDIES = 20
 
 
 def _statistics(seed: int, resamples: int = 500) -> dict:
-    frame = pd.DataFrame(simulate_table(Design(seed=seed)))
+    frame = pd.DataFrame(simulate_table(TableDesign(seed=seed)))
     return statistics_of(sample_of(frame), resamples=resamples)
 
 
 def test_truth_by_integration_is_that_of_a_million_trials() -> None:
     """Sampling leaves 1 / sqrt(n) of a few standard deviations: 0.5 % of d' and of the area."""
-    design = Design(participants=2000, trials=70, seed=1)
+    design = TableDesign(participants=2000, trials=70, seed=1)
     table = simulate_table(design)
     correct, incorrect = (table["divergence"][table["answer"] == kind] for kind in (True, False))
     truth = truth_of(design)
@@ -53,9 +53,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """Of 20 studies an interval of 95 % misses 1 on average; that it misses 5 or more happens once in 400. And two
     groups of skin are found in each.
     """
-    truth, missed = truth_of(Design()), dict.fromkeys(("d_prime", "auc", "criterion"), 0)
+    truth, missed = truth_of(TableDesign()), dict.fromkeys(("d_prime", "auc", "criterion"), 0)
     for seed in range(_STUDIES):
-        trials = sample_of(pd.DataFrame(simulate_table(Design(seed=seed)))).trials
+        trials = sample_of(pd.DataFrame(simulate_table(TableDesign(seed=seed)))).trials
         found = observe(leave_out_moved(trials), ["divergence"], resamples=500)["divergence"]
         for name in missed:
             low, high = getattr(found, name).interval
@@ -64,7 +64,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
         medians = [np.nanmedian(trials.metrics["divergence"][trials.participant == name]) for name in names]
         groups = participant_groups(1e3 * np.array(medians))
         assert groups.groups == 2
-        assert ((groups.membership > 0.5) == Design().is_soft()).all()
+        assert ((groups.membership > 0.5) == TableDesign().is_soft()).all()
     assert max(missed.values()) < 5, missed
 
 
@@ -87,7 +87,7 @@ def test_one_study_whole() -> None:
     assert (test["degrees"], test["as_printed"]["degrees"]) == ([6, 6 * 15], [6, 1568 - 7])
     for table in ("by_condition", "by_answer", "shares"):
         assert all(one["p_holm"] >= one["p"] for one in found[table].values())
-    criterion, truth = found["observer"]["metrics"]["divergence"]["criterion"], truth_of(Design()).criterion
+    criterion, truth = found["observer"]["metrics"]["divergence"]["criterion"], truth_of(TableDesign()).criterion
     assert criterion["unit"] == "µm/mm"
     assert criterion["value"] == pytest.approx(1e3 * truth, rel=0.1)
     json.dumps(found, allow_nan=False)
@@ -119,12 +119,12 @@ def test_holm_by_hand() -> None:
 
 
 def test_equal_skin_is_one_group() -> None:
-    frame = pd.DataFrame(simulate_table(Design(softness=1.0, seed=5)))
+    frame = pd.DataFrame(simulate_table(TableDesign(softness=(1.0, 1.0), seed=5)))
     assert statistics_of(sample_of(frame), resamples=300)["groups"]["groups"] == 1
 
 
 def test_what_is_left_out_is_counted() -> None:
-    frame = pd.DataFrame(simulate_table(Design(participants=4, trials=3)))
+    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=3)))
     frame["answer"] = frame["answer"].astype(object)
     frame.loc[:4, "status"] = "failed"
     frame.loc[3:9, "answer"] = None
@@ -143,7 +143,7 @@ def test_what_is_left_out_is_counted() -> None:
 
 
 def test_figures_of_a_table(tmp_path: Path) -> None:
-    frame = pd.DataFrame(simulate_table(Design(participants=6, trials=2)))
+    frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
     curves = pd.DataFrame(
         {
             "metric": "curl", "condition": np.repeat([0.0, 1.0], 3), "normal_force_N": [1.0, 2.0, 3.0] * 2,
@@ -159,7 +159,7 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
 
 def test_the_curve_of_answers_follows_the_design() -> None:
     """The simulated observer answers yes or no, and says yes to less than a half of what does not vibrate."""
-    trials = sample_of(pd.DataFrame(simulate_table(Design(participants=6, trials=6, softness=1.0)))).trials
+    trials = sample_of(pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
         axes = FIGURES["S12"](Sources(trials=trials, design=design)).figure().axes[-1]
         dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])
@@ -169,7 +169,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
 
 
 def test_a_trial_that_is_far_off_is_found() -> None:
-    frame = pd.DataFrame(simulate_table(Design(participants=4, trials=4)))
+    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=4)))
     frame.loc[17, "curl"] = 0.1
     found = outliers(frame)
     assert max(range(len(found)), key=lambda number: found[number].deviations) == 17

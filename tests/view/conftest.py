@@ -1,22 +1,17 @@
 """A press in a small frame, with its result."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fingerflow import load_scene, process
-from fingerflow.synthetic import Press, write_recording
-from fingerflow.view.outputs import all_of_default_stages
+from fingerflow.synthetic import write_recording
+from fingerflow.view.preview import all_of_default_stages
+from tests.small_trials import TINY_PRESS
 
-PRESS = Press(
-    n_frames=12,
-    frame_rate=12.0,
-    frames_before_trigger=1,
-    frame_shape=(96, 240),
-    finger=(1.8, 1.5),
-    semi_axes=(1.3, 1.1),
-)
+PRESS = replace(TINY_PRESS, n_frames=12, frame_rate=12.0)
 
 
 @pytest.fixture(scope="session")

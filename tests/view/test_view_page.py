@@ -19,7 +19,7 @@ from fingerflow.results.result import load_result
 from fingerflow.view.redirect import redirect_file
 from fingerflow.view.server import Served
 from tests.view.walk import drag as drag_in
-from tests.view.walk import fill
+from tests.view.walk import fill, set_value, show_frame
 
 pytestmark = pytest.mark.long
 
@@ -76,6 +76,17 @@ def area_of(page: Any) -> float:
     return float(found.json_value())
 
 
+def draw_around(page: Any, corners: list[tuple[float, float]]) -> None:
+    """Draw a region by the mouse, through places in px of the frame."""
+    page.click("#region")
+    box = page.locator("#picture").bounding_box()
+    for k, (x, y) in enumerate(corners):
+        page.mouse.move(box["x"] + (x + 0.5) * box["width"] / WIDTH, box["y"] + (y + 0.5) * box["width"] / WIDTH)
+        if k == 0:
+            page.mouse.down()
+    page.mouse.up()
+
+
 def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
     written = load_scene(press / "scene.toml")
     (press / "scene.toml").rename(press / "kept.txt")
@@ -85,8 +96,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         page.wait_for_selector("#problems")
         assert "background.frames" in text_of(page, "#problems")
         assert page.is_disabled("#process")
-        page.locator("#frame").evaluate("element => { element.value = 9; element.dispatchEvent(new Event('input')); }")
-        page.wait_for_selector("#picture[data-frame='9']")
+        show_frame(page, 9)
         assert "frame 9 of 0–11" in text_of(page, "#where")
 
         # What the page cannot know.
@@ -104,10 +114,8 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         # Contact is live.
         before = orange(page)
         assert before > 500
-        page.locator('[aria-label="contact.threshold number"]').evaluate(
-            "element => { element.value = 0.6; element.dispatchEvent(new Event('input')); }"
-        )
-        page.wait_for_function("before => document.querySelector('#panel dd').textContent.trim() == '0.6'", arg=before)
+        set_value(page, '[aria-label="contact.threshold number"]', 0.6)
+        page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() == '0.6'")
         page.wait_for_function("() => document.getElementById('picture').dataset.mask == 'true'")
         assert orange(page) < before / 2  # hardly anything loses so much light
         page.select_option('[aria-label="contact.threshold"]', "reference_frame")
@@ -118,23 +126,13 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         page.wait_for_function("() => document.getElementById('text').textContent.includes('[120, 23')")
 
         # Skin touches within a region, and everywhere again.
-        whole = area_of(page)
-        page.click("#region")
-        box = page.locator("#picture").bounding_box()
-        for k, (x, y) in enumerate([(150, 20), (178, 20), (178, 80), (150, 80), (150, 24)]):
-            page.mouse.move(box["x"] + (x + 0.5) * box["width"] / WIDTH, box["y"] + (y + 0.5) * box["width"] / WIDTH)
-            if k == 0:
-                page.mouse.down()
-        page.mouse.up()
+        whole, area = area_of(page), "+document.querySelectorAll('#panel dd')[1]?.firstChild.data"
+        draw_around(page, [(150, 20), (178, 20), (178, 80), (150, 80), (150, 24)])
         page.wait_for_selector("#no-region", state="visible")
-        page.wait_for_function(
-            "whole => +document.querySelectorAll('#panel dd')[1]?.firstChild.data < whole", arg=whole
-        )
+        page.wait_for_function(f"whole => {area} < whole", arg=whole)
         assert "[views.contact.region]" in page.text_content("#text")
         page.click("#no-region")
-        page.wait_for_function(
-            "whole => +document.querySelectorAll('#panel dd')[1]?.firstChild.data == whole", arg=whole
-        )
+        page.wait_for_function(f"whole => {area} == whole", arg=whole)
         assert "\n[views.contact.region]" not in page.text_content("#text")
 
         # It is written, and is what was seen.
@@ -198,7 +196,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
             late.append(partial(route.fulfill, response=route.fetch()))
 
     with opened(browser, press / "scene.toml") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         page.route("**/api/edit", hold, times=1)
         with page.expect_request("**/api/edit"):
             fill(page, "tracking.points", "50")
@@ -219,7 +217,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
 def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, press: Path) -> None:
     """As where the computer slept: it is said, the field shows what was set, and nothing is lost."""
     with opened(browser, press / "scene.toml", refused="net::ERR_FAILED") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         page.route("**/api/edit", lambda route: route.abort(), times=1)
         fill(page, "tracking.points", "50")
         page.wait_for_selector("#error:not([hidden])")
@@ -236,16 +234,14 @@ def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> 
     """By a write that sends it too; what else was set is set, and written when that is asked again."""
     late: list[Any] = []
     with opened(browser, press / "scene.toml", refused="422 (") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         before = page.input_value('[aria-label="contact.median_px"]')
         # One route for the whole test: when the last of several is used up, the browser lets waiting requests pass.
         answers = [late.append, lambda route: route.continue_(post_data=_spoiled(route.request))]
         page.route("**/api/edit", lambda route: answers.pop(0)(route) if answers else route.continue_())
         with page.expect_request("**/api/edit"):
             fill(page, "tracking.points", "50")
-        page.locator('[aria-label="contact.median_px"]').evaluate(
-            "element => { element.value = 9; element.dispatchEvent(new Event('input')); }"
-        )
+        set_value(page, '[aria-label="contact.median_px"]', 9)
         fill(page, "tracking.min_distance_px", "5")
         page.click("#write")
         late[0].continue_()
@@ -273,9 +269,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
     with opened(browser, processed / "result.h5", width) as (page, _):
         page.wait_for_selector("#picture[data-mask=true]")
         assert page.evaluate("() => document.documentElement.scrollWidth <= window.innerWidth")
-        page.locator("#frame").evaluate("element => { element.value = 8; element.dispatchEvent(new Event('input')); }")
-        page.wait_for_selector("#picture[data-frame='8']")
-
+        show_frame(page, 8)
         # A point: its number, its history, what became of it.
         known = np.flatnonzero(np.isfinite(result["divergence"].values[8]))
         point = int(known[len(known) // 2])
@@ -294,15 +288,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         assert page.is_hidden("#error"), text_of(page, "#error")
 
         # A region: the points in it, and their median among the curves.
-        page.click("#region")
-        box = page.locator("#picture").bounding_box()
-        scale = box["width"] / WIDTH
-        corners = [(0, 0), (119, 0), (119, 95), (0, 95), (0, 2)]  # the topography view
-        for k, (x, y) in enumerate(corners):
-            page.mouse.move(box["x"] + x * scale + 0.5, box["y"] + y * scale + 0.5)
-            if k == 0:
-                page.mouse.down()
-        page.mouse.up()
+        draw_around(page, [(0, 0), (119, 0), (119, 95), (0, 95), (0, 2)])  # the topography view
         page.wait_for_function(
             "() => /points, drawn around in frame 8/.test(document.getElementById('point').textContent)"
         )

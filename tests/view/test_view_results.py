@@ -9,7 +9,7 @@ import xarray as xr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.result import load_result
-from fingerflow.view.results import Results
+from fingerflow.view.results import Results, median_of
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_history_and_medians_of_points(results: Results, stored: xr.Dataset) -> 
     points = [9, 2, 5, 6]
     known = np.isfinite(values[:, points]).any(axis=1)
     assert known.any()
-    found = results.median_of_points("divergence", points)
+    found = median_of(results.of_points("divergence", points))
     np.testing.assert_allclose(found[known], np.nanmedian(values[known][:, points], axis=1), rtol=1e-12)
     assert np.isnan(found[~known]).all()
     for wrong in ([], [10**6], [-1]):

@@ -33,18 +33,23 @@ def fill(page: Any, key: str, value: str) -> None:
     box.press("Enter")
 
 
+def set_value(page: Any, selector: str, value: float) -> None:
+    """Of a field, as while it is typed or dragged."""
+    page.locator(selector).evaluate(
+        f"element => {{ element.value = {value}; element.dispatchEvent(new Event('input')); }}"
+    )
+
+
 def show_frame(page: Any, frame: int) -> None:
     """By the slider."""
-    page.locator("#frame").evaluate(
-        f"element => {{ element.value = {frame}; element.dispatchEvent(new Event('input')); }}"
-    )
+    set_value(page, "#frame", frame)
     page.wait_for_selector(f"#picture[data-frame='{frame}']")
 
 
 def settled(page: Any) -> None:
     """Until contact, points and forces of a complete scene are there."""
     page.wait_for_selector("#picture[data-mask=true]")
-    page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+    page.wait_for_selector("#legend:has-text('points, seeded in frame')")
     page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
 
 
@@ -105,9 +110,7 @@ def walk(page: Any, seen: Seen) -> None:
     settled(page)
 
     # A threshold by hand, and back to the one that is found.
-    page.locator('[aria-label="contact.threshold number"]').evaluate(
-        "element => { element.value = 0.3; element.dispatchEvent(new Event('input')); }"
-    )
+    set_value(page, '[aria-label="contact.threshold number"]', 0.3)
     page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() == '0.3'")
     page.select_option('[aria-label="contact.threshold"]', "reference_frame")
     page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() != '0.3'")

@@ -1,4 +1,4 @@
-"""Compiled counterparts of some ops: whether they can be used, and one torch op for each function of kernels.
+"""Kernels as torch ops, the compiled counterparts of some ops; `serve` checks whether they can be used.
 
 They take plain tensors on the CPU, outside tracing, export and autograd. Their results equal those of the portable op
 bit for bit, or to rounding where a docstring says so. While torch compiles they are registered ops,

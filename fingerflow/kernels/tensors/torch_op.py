@@ -1,4 +1,4 @@
-"""Registration of functions of kernels as torch ops, which the torch compiler calls without tracing them."""
+"""Registration of kernel functions as torch ops, which the torch compiler calls without tracing them."""
 
 import functools
 import inspect
@@ -42,7 +42,7 @@ def torch_op(
         may_be_none = [type(None) in get_args(part) for part in parts]
 
         def whole(result: Any) -> Any:
-            """Replace None by an empty tensor, as an op cannot return None."""
+            """Replace None in a result by an empty tensor, as a torch op cannot return None."""
             if kind is Tensor:
                 return cast(_R, result)
             return tuple(torch.empty(0, device=_CPU) if part is None else part for part in result)
@@ -77,25 +77,25 @@ def torch_op(
 
 
 def _derived(arguments: tuple[Any, ...]) -> bool:
-    """Return whether a derivative with respect to an argument is needed, which an opaque op does not have."""
+    """Return whether autograd needs a derivative with respect to an argument; an opaque op has none."""
     tensors = (one for one in arguments if isinstance(one, Tensor))
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:
-    """Return the types of the elements of a tuple, named or not."""
+    """Return the types of the elements of a tuple type, named or not."""
     named = _named(kind)
     return get_args(kind) if named is None else tuple(_of_tensors(part) for part in get_type_hints(named).values())
 
 
 def _named(kind: Any) -> Any:
-    """Return the class of a named tuple, None for any other type."""
+    """Return the class of a named tuple type, None for any other type."""
     named = get_origin(kind) or kind
     return named if hasattr(named, "_fields") else None
 
 
 def _of_tensors(annotation: Any) -> Any:
-    """Return the annotation with tensors in place of type variables."""
+    """Return a type annotation with `Tensor` in place of type variables."""
     if isinstance(annotation, TypeVar):
         return Tensor
     return annotation[Tensor] if getattr(annotation, "__parameters__", ()) else annotation

@@ -1,4 +1,4 @@
-"""Bootstrap intervals, bias-corrected and accelerated, resampling whole participants or trials.
+"""Bootstrap confidence intervals, bias-corrected and accelerated (BCa), that resample whole participants or trials.
 
 Every statistic is a function of weights, the number of draws of each trial, so all resamples are computed at once.
 """
@@ -30,7 +30,7 @@ FEWEST_CLUSTERS = 3
 
 @dataclass(frozen=True)
 class Samples:
-    """Resampling unit of each trial of each sample: a participant, shared by the samples, or the trial itself."""
+    """Resampling units of the bootstrap: each trial belongs to a participant (shared by samples), or is its own."""
 
     units: tuple[NDArray[np.intp], ...]
     participants: int  # 0 where each trial is its own unit
@@ -43,7 +43,7 @@ class Samples:
 def samples_of(
     kinds: Sequence[ArrayLike], participants: Sequence[ArrayLike] | None
 ) -> tuple[list[Values], Samples, int]:
-    """Return the samples without NaN, the resampling unit of each trial, and the number of NaN trials.
+    """Remove NaN trials from samples; return the samples, the resampling unit of each trial, and the number removed.
 
     Raises:
         ValueError: infinite values, or participants whose shapes do not match the values.
@@ -69,7 +69,7 @@ def samples_of(
 def bca_interval(
     statistic: Statistic, samples: Samples, level: float, resamples: int, seed: int
 ) -> tuple[Interval, str]:
-    """Compute the interval of a statistic, and a reason if there is none or if resamples were dropped.
+    """Compute the BCa interval of a statistic, and a reason if there is none or if resamples were dropped.
 
     Efron's BCa takes quantiles of the bootstrap, shifted by its bias and by the acceleration from a jackknife over the
     same units. It is too narrow for few units; its normal quantiles are therefore replaced by those of Student's t
@@ -130,13 +130,13 @@ def _resampled(samples: Samples, resamples: int, draw: np.random.Generator) -> I
 
 
 def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
-    """Return how often each of n units is drawn in n draws, (rows, n)."""
+    """Return how often each of n units is drawn in a bootstrap sample of n draws, as (rows, n) for several samples."""
     flat = draw.integers(0, units, (rows, units)) + units * np.arange(rows)[:, None]
     return np.bincount(flat.ravel(), minlength=rows * units).reshape(rows, units).astype(np.float64)
 
 
 def _acceleration(statistic: Statistic, samples: Samples) -> float:
-    """Compute the skewness of the units' influence, leaving out one at a time (Efron & Tibshirani 1993, 14.15)."""
+    """Compute the acceleration of BCa from the jackknife influence of each unit (Efron & Tibshirani 1993, 14.15)."""
     influences = []
     if samples.participants:
         left = _each(statistic, _without_one(samples, range(len(samples.sizes)), samples.participants))

@@ -1,4 +1,4 @@
-"""Discrimination of correct and incorrect trials by a metric: d', areas under the ROC, and criterion."""
+"""Discrimination of correct from incorrect trials by a metric: d', area under the ROC, and criterion."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -55,7 +55,8 @@ def auc(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the area under the ROC: the probability that a correct trial has the larger metric, ties counting half.
+    """Estimate the area under the ROC: the probability that a correct trial has a larger metric than an incorrect one,
+    ties counting half.
 
     1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason, if a kind has no
     trial. There is no interval if the two kinds do not overlap, because every resample then gives the same area.
@@ -75,7 +76,7 @@ def compare_auc(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the area under the ROC of one metric minus that of another, in the same trials.
+    """Estimate the difference between the areas under the ROC of two metrics of the same trials.
 
     Both areas are computed on the same resamples, so that variation common to the metrics cancels.
 
@@ -116,7 +117,7 @@ def criterion_for_hits(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the criterion that a given share of the correct trials exceeds, 75 % in Willemet et al. 2021.
+    """Estimate the metric value that a given share of the correct trials exceeds, 75 % in Willemet et al. 2021.
 
     The criterion is in the metric's unit, interpolated linearly between trials; no distribution is assumed.
 
@@ -142,7 +143,7 @@ def _estimate(
     resamples: int,
     seed: int,
 ) -> Estimate:
-    """Estimate a statistic of kinds of trials, of which each needs ``fewest``, with its interval."""
+    """Estimate a statistic and its interval from one or two classes of trials, each with at least ``fewest``."""
     values, samples, missing = samples_of(kinds, participants)
     value, interval = math.nan, UNKNOWN
     if min(samples.sizes) < fewest:
@@ -165,7 +166,7 @@ def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return the quantile (R,) of values drawn `weights` times; for weights of 1 it is NumPy's linear quantile."""
+    """Return the quantile of R resamples (R,) that hold each value `weights` times; NumPy's linear one for 1."""
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

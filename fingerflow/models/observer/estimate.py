@@ -1,4 +1,4 @@
-"""An estimate with its interval, and the settings that reproduce it."""
+"""Value of a statistic with its interval, and the settings that reproduce it."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Estimate:
-    """Result of an estimator of this package.
+    """Estimated statistic with its interval, as the functions of this package return it.
 
     Attributes:
         value: NaN where it cannot be computed.

@@ -1,4 +1,4 @@
-"""One or two groups of participants: a mixture of Gaussians with evidence for either."""
+"""Test whether participants form one or two groups, by a mixture of Gaussians."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _STREAM = 0x6A0  # added to the seed: data simulated with the same seed must not
 
 @dataclass(frozen=True)
 class Groups:
-    """Result of `participant_groups`; NaN where a number cannot be computed.
+    """Result of `participant_groups`: fit of two groups with its test; NaN where a number cannot be computed.
 
     Attributes:
         groups: 2 where the bootstrap test is significant at 5 %, else 1; 0 where it cannot be determined.
@@ -47,7 +47,8 @@ class Groups:
 
 
 def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) -> Groups:
-    """Split participants by one number each, as the median difference of divergence (Willemet et al. 2021, S12 A).
+    """Split participants into two groups by one number each, such as the median difference of divergence (Willemet et
+    al. 2021, S12 A).
 
     The paper splits by eye because the histogram is bimodal. Here a mixture of two Gaussians with a common deviation is
     compared with one Gaussian; with two deviations the likelihood is unbounded. The likelihood ratio follows no
@@ -105,7 +106,8 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
 
 def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values]:
-    """Return share of the higher group, both means, their deviation and the likelihood ratio, (R,), for samples (R, P).
+    """Fit two Gaussians to R samples of P values: share of the higher group, both means, deviation, likelihood ratio,
+    (R,).
 
     Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """

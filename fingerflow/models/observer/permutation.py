@@ -15,7 +15,7 @@ _AT_ONCE = 4_000_000  # labels in memory
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """Two-sided `p` of `auc` under permuted answers; `trials` correct and incorrect, `missing` were NaN."""
+    """Result of `permutation_test`: two-sided `p` of `auc`; `trials` correct and incorrect, `missing` with NaN."""
 
     p: float
     auc: float

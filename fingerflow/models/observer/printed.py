@@ -16,7 +16,7 @@ _STEP = 0.001  # of the criterion
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Gaussian: `amplitude` in trials per bin, `mean` and `deviation` of the normalised metric; NaN where none fits."""
+    """Gaussian fitted to a histogram: `amplitude` in trials per bin, `mean`, `deviation`; NaN where none fits."""
 
     amplitude: float
     mean: float
@@ -25,7 +25,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class PrintedObserver:
-    """The supplement's numbers for a metric.
+    """Ideal observer of one metric, computed as in the supplement of Willemet et al. 2021.
 
     Attributes:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
@@ -57,7 +57,7 @@ class PrintedObserver:
 
 
 def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
-    """Compute d', ROC and criterion as published.
+    """Compute d', ROC and criterion of a metric as published by Willemet et al. 2021.
 
     The metric is normalised by its 0.9 quantile and counted in bins of 0.05, and Gaussians are fitted to the counts.
     The paper varies the criterion from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials below
@@ -120,7 +120,7 @@ def _nothing(scale: float, trials: tuple[int, int], missing: int, reason: str) -
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
-    """Fit a Gaussian to the counts per bin by least squares, as in figure S11 A."""
+    """Fit a Gaussian to the counts of a histogram by least squares, as in figure S11 A."""
     centres = (bins[:-1] + bins[1:]) / 2
     if np.count_nonzero(counts) < 3:
         return Gaussian(math.nan, math.nan, math.nan)

@@ -1,4 +1,4 @@
-"""Psychometric curve: share of answers against the stimulus, with lapses, guesses and overdispersion."""
+"""Psychometric curve: share of answers against the stimulus, with lapse and guess rates and overdispersion."""
 
 import math
 from collections.abc import Callable
@@ -34,7 +34,7 @@ _LOGIT = 15.0  # rates of 1e-7
 
 @dataclass(frozen=True)
 class PsychometricFit:
-    """Result of `fit_psychometric`; NaN where the data do not determine a number.
+    """Fitted psychometric curve with intervals (`fit_psychometric`); NaN where the data do not determine a number.
 
     Attributes:
         threshold: the stimulus at which the share of answers is `share`; its `interval` at `level` contains it, and a
@@ -60,7 +60,7 @@ class PsychometricFit:
     reason: str
 
     def __call__(self, stimulus: ArrayLike) -> Values:
-        """Return the share of answers at a stimulus."""
+        """Return the fitted share of answers at a stimulus."""
         x = np.asarray(stimulus, dtype=np.float64)
         middle = self.threshold - self.width * _core(self.share, self.guess, self.lapse)
         return np.asarray(self.guess + (1 - self.guess - self.lapse) * ndtr((x - middle) / self.width))
@@ -147,7 +147,8 @@ def fit_psychometric(
 
 
 class _Posterior:
-    """Negative log posterior over (threshold, slope, lapse and, where fitted, guess), overdispersion integrated out.
+    """Negative log posterior of a psychometric curve's threshold, slope, lapse and guess rate; overdispersion is
+    integrated out.
 
     At the joint mode the overdispersion of few blocks is mostly 0 and intervals are too short. Stimuli are
     scaled to about unit range; the slope 1 / width may have either sign; the rates are in logits.
@@ -166,12 +167,12 @@ class _Posterior:
         return -float(logsumexp(self._over_spreads(values)) + prior)
 
     def overdispersion(self, values: Values) -> float:
-        """Return the posterior mean of the overdispersion, given the other parameters."""
+        """Return the posterior mean of the overdispersion for given parameters of the curve."""
         log = self._over_spreads(values)
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
     def _over_spreads(self, values: Values) -> Values:
-        """Return the log posterior at each overdispersion, without the prior of the rates."""
+        """Return the log likelihood of the answers at each value of the overdispersion grid."""
         expected = self._expected(values)
         # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
         total = 1 / _SPREADS[:, None] - 1
@@ -186,7 +187,7 @@ class _Posterior:
         return result
 
     def best(self) -> Values:
-        """Return the parameters of the largest posterior.
+        """Return the curve parameters that maximise the posterior.
 
         The posterior may have several peaks, so the search starts from the best points of a grid.
         """
@@ -195,7 +196,7 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return starting curves of various slopes, with either their middle or their threshold at a given position."""
+        """Return start parameters with various slopes, and either a common middle or a common threshold."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -212,18 +213,18 @@ class _Posterior:
         return self.parameters(part._minimised(near, 0))[0]
 
     def rises(self, values: Values) -> bool:
-        """Return True if the share changes by more than 0.01 over the range of the stimuli, up or down."""
+        """Return True if the curve changes by more than 0.01 over the range of the stimuli, up or down."""
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((np.array([self.x.min(), self.x.max()]) - threshold) * slope + _core(self.share, guess, lapse))
         return bool(abs((1 - guess - lapse) * np.diff(core)[0]) > 0.01)
 
     def parameters(self, values: Values) -> tuple[float, float, float, float]:
-        """Return threshold, width, guess and lapse in the units of the data."""
+        """Return threshold, width, guess and lapse rate of the curve in the units of the data."""
         threshold, slope, guess, lapse = self._natural(values)
         return self.origin + self.unit * threshold, self.unit / slope, guess, lapse
 
     def profile(self, best: Values) -> Callable[[float], float]:
-        """Return the profile: minus the log posterior at a threshold, minimised over the other parameters.
+        """Return the profile function of the threshold: negative log posterior, minimised over all other parameters.
 
         Each search starts from the solution at the nearest known threshold, and from the best of a grid.
         """
@@ -241,7 +242,7 @@ class _Posterior:
         return at
 
     def _minimised(self, start: Values, fixed: int) -> Values:
-        """Return the parameters of the largest posterior near a start, keeping the first ``fixed`` ones."""
+        """Return the parameters that maximise the posterior near a start, with the first ``fixed`` ones unchanged."""
         limits = (_FURTHEST, _STEEPEST, *[_LOGIT] * (start.size - 2))
 
         def rest(values: Values) -> float:
@@ -257,7 +258,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return where the profile crosses ``allowed``, outwards from the best threshold; infinite beyond `_FURTHEST`."""
+    """Return the threshold on one side of the best where the profile crosses ``allowed``; infinite past `_FURTHEST`."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

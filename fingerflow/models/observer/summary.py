@@ -1,4 +1,4 @@
-"""Comparison of every metric in a table of trials: which one predicts the participants' answers?"""
+"""Comparison of all metrics in a table of trials by how well each predicts the participants' answers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class ObserverSettings(TypedDict):
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """One metric: its estimates with intervals by participant, and `printed`, the numbers computed as in the paper."""
+    """Observer statistics of one metric: estimates with intervals by participant, and `printed`, as in the paper."""
 
     d_prime: Estimate
     auc: Estimate

@@ -18,7 +18,7 @@ OF_MOTION = ("global_displacement", "force_angle")
 
 @dataclass(frozen=True)
 class Trials:
-    """T trials: `participant`, `trial`, `condition`, whether the `answer` was correct, `metrics` by name, (T,) each.
+    """Table of T trials: participant, trial, condition, whether the answer was correct, and metrics by name, (T,) each.
 
     `left_out` counts the trials whose metrics a rule has set to NaN; `rule` describes it.
     """
@@ -32,18 +32,18 @@ class Trials:
     rule: str = ""
 
     def split(self, metric: str) -> tuple[Values, Values]:
-        """Return the metric in correct and in incorrect trials, NaN included; raises FingerflowError if unknown."""
+        """Return a metric in correct and in incorrect trials, with NaN; raise FingerflowError if it is unknown."""
         if metric not in self.metrics:
             raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(self.metrics)}")
         return self.metrics[metric][self.answer], self.metrics[metric][~self.answer]
 
     def participants(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the participants of the correct and of the incorrect trials."""
+        """Return the participant of each correct trial and of each incorrect trial."""
         return self.participant[self.answer], self.participant[~self.answer]
 
 
 def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
-    """Check a tidy table: a pandas DataFrame, or a mapping from column names to columns of equal length.
+    """Convert a tidy table to `Trials` after checking it: a pandas DataFrame, or a mapping of equally long columns.
 
     Args:
         table: columns `participant`, `trial`, `condition`, `answer` (True or 1 where correct, False or 0 where not) and
@@ -82,7 +82,8 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
 
 
 def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
-    """Set metrics to NaN where the finger slid as a whole: `global_displacement` (mm) above a limit, or not known.
+    """Set metrics to NaN in trials whose finger slid as a whole: `global_displacement` (mm) is above a limit or not
+    known.
 
     Willemet et al. 2021 ask in this way what other cues tell without that one. The displacement and the force angle
     stay.

@@ -1,4 +1,4 @@
-"""Statistics of resampled trials, each weighted by its number of draws; R resamples at once."""
+"""Statistics of R bootstrap resamples at once; weights say how often a resample contains each trial."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ Values = NDArray[np.float64]
 
 
 def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
-    """Return a function from weights (R, n_1) and (R, n_2) to the area under the ROC (R,); NaN if a kind has none."""
+    """Return a function from weights (R, n_1), (R, n_2) to areas under the ROC (R,); NaN if a class has no trial."""
     values = np.concatenate([correct, incorrect])
     order = np.argsort(values, kind="stable")
     starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)
@@ -29,13 +29,13 @@ def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Value
 
 
 def mean(values: Values, weights: Values) -> Values:
-    """Return means (R,) of values (N,) by weights (R, N)."""
+    """Return the means (R,) of values (N,) under R sets of weights (R, N)."""
     result: Values = weights @ values / weights.sum(1)
     return result
 
 
 def deviation(values: Values, weights: Values) -> Values:
-    """Return the standard deviation with n - 1; NaN where fewer than two trials were drawn or none differs."""
+    """Return standard deviations (R,) of values (N,) under weights (R, N), with n - 1; NaN if no two values differ."""
     # Centred on the whole sample's mean: sums of squares of values far from 0 would lose precision.
     centred = values - values.mean()
     count = weights.sum(1)

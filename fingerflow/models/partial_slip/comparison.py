@@ -1,4 +1,4 @@
-"""Comparison of a trial with the four curves d^2(T/N)."""
+"""Comparison of a trial with four models of the stuck area share d^2 as a function of the load ratio T/N."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
 
 @dataclass(frozen=True)
 class CurveScore:
-    """Score of one curve among the others.
+    """Score of one model curve in the comparison of all curves.
 
     Attributes:
         coefficients: of friction, by name.
@@ -43,7 +43,8 @@ class CurveComparison:
 
 
 def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveComparison:
-    """Compare partial slip (mu_s, mu_k), equal friction, Tada and Coulomb (mu each) by AICc on the same frames.
+    """Compare four model curves of partial slip by AICc on the same frames: partial slip (mu_s, mu_k), equal friction,
+    Tada and Coulomb.
 
     Each curve is fitted to the frames of slow loading as in `fit_friction`. Errors follow Student's t with 4 degrees of
     freedom, whose scale is one more parameter. Coulomb's curve has a corner: there a frame's distance is the smaller
@@ -95,7 +96,7 @@ def _aicc(squared: Values, coefficients: int) -> float:
 
 
 def _deviance(squared: Values) -> float:
-    """Return -2 log likelihood under Student's t with the best scale, up to a constant common to all curves."""
+    """Return -2 log likelihood of squared residuals under Student's t with its best scale, up to a common constant."""
     scale = student_scale(squared)
     terms = np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))
     return float(terms.sum())

@@ -1,4 +1,4 @@
-"""T/N as a function of d^2, linear in the friction coefficients: the form in which the curves are fitted.
+"""Load ratio T/N as a function of the stuck area share d^2, linear in the friction coefficients: the fitted form.
 
 d^2(T/N) has an infinite slope where the area vanishes. Its inverse is smooth and single-valued: a sum of known
 functions of d^2 weighted by the friction coefficients.
@@ -16,7 +16,7 @@ Functions = Callable[[Values], Values]
 
 @dataclass(frozen=True)
 class CurveFamily:
-    """Functions of d^2 (F,), each (F, P) for P coefficients: T/N per coefficient, its first and second derivative."""
+    """Model curve T/N of d^2 (F,) as a sum over P friction coefficients: terms (F, P), first and second derivatives."""
 
     name: str
     coefficients: tuple[str, ...]

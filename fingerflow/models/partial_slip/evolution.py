@@ -13,7 +13,7 @@ _ROUNDING = 16 * torch.finfo(torch.float64).eps
 
 
 def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the T/N of a contact with stuck share d^2 (equations 3 and 4 of Terekhov & Hayward 2011).
+    """Return the load ratio T/N of a contact with stuck area share d^2 (equations 3 and 4 of Terekhov & Hayward 2011).
 
         T/N = 2 mu_s d^2 (1 - d^2) + mu_k (1 - d^2)^2
 
@@ -35,7 +35,7 @@ def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return d^2, stuck area over contact area, at a load T/N: equation 5 solved on the branch that loading follows.
+    """Return the stuck area share d^2 of a contact at a load ratio T/N: equation 5 on the branch that loading follows.
 
     With mu_s = mu_k = mu it is (1 - T/(mu N))^(1/2). The paper prints 1 - T/(mu_k N), but with equal coefficients the
     term in d^2 drops out of equation 5, not the one in d^4.
@@ -69,7 +69,7 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the d^2 at which the stuck area vanishes at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
+    """Return the stuck area share d^2 at which the rest slips at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
 
     Such a minimal area needs mu_s > mu_k; the paper's section 1 and equation 5 agree, but its abstract has the
     inequality reversed. It is 0 for mu_s = mu_k, and NaN for mu_s < mu_k, where none exists.
@@ -84,7 +84,8 @@ def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the largest T/N of a partly stuck contact: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else mu_k.
+    """Return the largest T/N that a contact bears without full slip: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else
+    mu_k.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.
@@ -95,7 +96,7 @@ def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
-    """Return mu_k / mu_s from the d^2 at which the stuck area vanishes: (1 - 2 d^2) / (1 - d^2).
+    """Return mu_k / mu_s = (1 - 2 d^2) / (1 - d^2) from the stuck area share d^2 at which the rest slips at once.
 
     It solves d^2 = (mu_s - mu_k) / (2 mu_s - mu_k). The paper prints (1 - d^2) / (2 - d^2), which is no solution: it
     gives mu_k = mu_s / 2 where the area fades to nothing, although the two are equal there.

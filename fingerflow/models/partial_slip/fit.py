@@ -1,4 +1,4 @@
-"""Coefficients of static and kinetic friction from a measured d^2(T/N), with intervals."""
+"""Coefficients of static and kinetic friction, with intervals, from a measured stuck area share against T/N."""
 
 import math
 from dataclasses import dataclass
@@ -61,7 +61,8 @@ def fit_friction(
     resamples: int = 1000,
     seed: int = 0,
 ) -> FrictionFit:
-    """Fit mu_s and mu_k of equation 5 (Terekhov & Hayward 2011) to the frames of slow loading.
+    """Fit static and kinetic friction, mu_s and mu_k of equation 5 (Terekhov & Hayward 2011), to frames of slow
+    loading.
 
     Both d^2 and T/N are measured with noise. The noise is estimated from their second differences, so the frames must
     be in order of time; the estimate depends on the ratio of the two. A frame's distance from the curve is its T/N
@@ -134,7 +135,7 @@ def fit_friction(
 def fit_family(
     family: CurveFamily, area: Values, load: Values, noise: tuple[float, float], weights: Values
 ) -> tuple[Values, Values]:
-    """Fit the coefficients of one family by reweighted least squares, for R sets of frame weights (R, F) at once.
+    """Fit the friction coefficients of one model curve by reweighted least squares, for R sets of frame weights (R, F).
 
     Returns:
         The coefficients (R, P) and the squared distances (R, F), in units of the noise.
@@ -163,14 +164,14 @@ def fit_family(
 
 
 def student_weights(squared: Values, weights: Values) -> Values:
-    """Return the weights (R, F) of frames under Student's t, its scale estimated from their squared distances."""
+    """Return robust weights (R, F) of frames under Student's t, its scale estimated from the squared residuals."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
     result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
     return result
 
 
 def student_scale(squared: Values) -> float:
-    """Return the squared scale of Student's t of maximum likelihood for squared distances (F,)."""
+    """Return the squared scale of Student's t that maximises the likelihood of squared residuals (F,)."""
     scale = float(np.median(squared)) or float(squared.mean())
     for _ in range(4 * _ROUNDS):
         weights = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / max(scale, 1e-300))
@@ -179,7 +180,8 @@ def student_scale(squared: Values) -> float:
 
 
 def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
-    """Return d^2 and T/N of the frames whose area shrinks, the noise of both, and a reason if these are too few.
+    """Return d^2 and T/N of frames in which the stuck area shrinks, the noise of both, and a reason if there are too
+    few.
 
     Raises:
         ValueError: the two differ in length.
@@ -198,15 +200,15 @@ def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values
 
 
 def frame_noise(values: Values) -> float:
-    """Return the standard deviation of white noise, from second differences, which a slow change does not affect;
-    values that are not finite are left out.
+    """Return the standard deviation of white noise in a series, by second differences, which slow changes do not
+    affect. Values that are not finite are left out.
     """
     second = np.diff(values[np.isfinite(values)], 2)
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
 
 
 def _shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return True for frames whose area is clearly below 1; near 1 noise is cut off, as a measured area is 1 at most.
+    """Return a mask of frames whose stuck area share is clearly below 1; closer to 1 the noise is one-sided.
 
     The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.
     """
@@ -218,7 +220,7 @@ def _shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArra
 
 
 def _block_weights(frames: int, resamples: int, seed: int) -> Values:
-    """Return how often each of R bootstrap samples of circular blocks contains each frame, (R, F)."""
+    """Return how often each frame occurs in R bootstrap samples of circular blocks, (R, F)."""
     length = math.ceil(frames ** (1 / 3))
     starts = np.random.default_rng([seed, _STREAM]).integers(0, frames, (resamples, math.ceil(frames / length)))
     chosen = ((starts[..., None] + np.arange(length)) % frames).reshape(resamples, -1)[:, :frames]
@@ -228,7 +230,7 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 
 def _derived(coefficients: Values) -> Values:
-    """Return mu_s, mu_k, their ratio and the critical area, (R, 4)."""
+    """Return mu_s, mu_k, their ratio and the critical area for R sets of coefficients, as (R, 4)."""
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
     # Resamples without a critical area count as 0: NaN would drop them from its interval.

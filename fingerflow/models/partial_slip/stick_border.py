@@ -1,4 +1,4 @@
-"""Border of the stick region of a contact, from displacement blurred by tracking windows or by dense flow.
+"""Border of a contact's stick region, fitted to displacement that tracking windows or dense flow have blurred.
 
 Skin and its strain are continuous, so beside the stick region the displacement begins as k x^p, with x the distance
 from the border. On an elastic half-space, whose tractions begin with a square root, p is 3/2 (Cattaneo 1938, Mindlin
@@ -35,7 +35,7 @@ _FEWEST = 8  # distances with a displacement
 
 
 class BorderFit(NamedTuple):
-    """Result of `fit_border`.
+    """Result of `fit_border`: position of the border, and growth of the displacement beyond it.
 
     Attributes:
         growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
@@ -51,7 +51,7 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Return the positions (K,) mm in a square window along a border's normal, over several border directions.
+    """Return offsets (K,) mm along a border's normal of the pixels in a square window, pooled over border directions.
 
     The positions are sorted.
     """
@@ -61,18 +61,18 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return the window means (K,) of a displacement x^p beyond a border, at distances (K,) mm; negative inside."""
+    """Return means over windows at distances (K,) mm from a border of a displacement x^p beyond it; negative inside."""
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 
 
 def border_level(width: Values, growth: float, seen: Seen) -> Values:
-    """Return the measured displacement, mm (K,), at the stick region's border for a slipping annulus (K,) mm wide."""
+    """Return the displacement, mm (K,), that is measured at a stick border if the slipping annulus is (K,) mm wide."""
     return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 
 def fit_border(distance: Values, displacement: Values, weight: Values, seen: Seen, step: float) -> BorderFit | None:
-    """Fit the position at which a blurred displacement begins.
+    """Fit the position of the border at which a blurred displacement begins.
 
     Weighted least squares in k and the base, which enter linearly, at each candidate position of the border.
 

@@ -1,4 +1,4 @@
-"""Classification of a trial: does the stuck area vanish at once, or does it fade?"""
+"""Classification of a trial of tangential loading: does the stuck area vanish abruptly or diminish?"""
 
 import math
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ _LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Result of `judge_trial` with every number behind it; NaN or -1 where a number could not be computed.
+    """Classification of a trial by `judge_trial`, with the numbers behind it; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
@@ -72,7 +72,7 @@ class TrialVerdict:
     frames_missing: int = 0
 
     def loading(self) -> slice:
-        """Return the frames of slow loading, before the collapse, to which a friction law may be fitted."""
+        """Return the range of frames of slow loading, before the collapse, to which a friction law may be fitted."""
         return slice(0, self.collapse_frame + 1)
 
 
@@ -205,7 +205,7 @@ def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
 
 
 def _smoothed(values: Values, width: int) -> Values:
-    """Return the running median over the finite values; the others stay NaN."""
+    """Return the running median of a series over its finite values; other values stay NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = median_filter(values[finite], size=width, mode="nearest")
@@ -213,7 +213,7 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _complete_loss(area: Values) -> int | None:
-    """Return the first frame from which on d^2 is at most 0.05 up to the end; None if there is none."""
+    """Return the first frame from which on the stuck area share d^2 is 0.05 or less up to the end; None if none."""
     known = np.flatnonzero(np.isfinite(area))
     still = np.flatnonzero(area[known] > SMALLEST_AREA)
     after = still[-1] + 1 if still.size else 0
@@ -221,7 +221,7 @@ def _complete_loss(area: Values) -> int | None:
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
-    """Return the measured frames before the loss, back to the last one with T/N outside of the corridor."""
+    """Return the frames just before the loss of adhesion in which T/N stays inside the corridor around `reference`."""
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known

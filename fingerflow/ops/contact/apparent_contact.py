@@ -42,12 +42,12 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the region around the densest position, without holes, up to where the mask is about half as dense.
+    """Segment the region around the densest part of a mask, up to where its density has fallen to about half.
 
-    The density is the mean of the mask over about two periods (three box means). At a straight border it falls to one
-    half of the density inside, whatever the direction of the pattern. At a convex border it falls further; that level
-    is measured on the region itself, smoothed in the same way. The region and the density inside depend on each other
-    and are found by a fixed-point iteration, which converges in a few rounds.
+    Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
+    straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
+    border it falls further; that level is measured on the region itself, smoothed in the same way. The region and the
+    density inside depend on each other and are found by a fixed-point iteration, which converges in a few rounds.
 
     The density varies slowly over a box, so cells with a fourth of the box's side resolve it. A cell crossed by the
     border counts by the fraction inside, which follows from the slope of the density. A hole is filled where the region
@@ -83,14 +83,14 @@ def apparent_contact(
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
-    """Segment the region from the share (B, 1, h, w) of each cell that the mask covers."""
+    """Segment the apparent contact from the fraction of each cell, (B, 1, h, w), that the mask covers."""
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
     height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
-        """Return the fraction of each cell above the limit, with the density approximated by a plane across it."""
+        """Return the fraction of each cell in which the density, a plane across the cell, exceeds `limit`."""
         return (height - flat * limit).clamp(0.0, 1.0)
 
     def share(part: Tensor) -> Tensor:
@@ -121,7 +121,10 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:
-    """Smooth by three box means of `width` cells in x and y, with zeros beyond the frame."""
+    """Return the density: values on cells, smoothed by three box means of `width` cells along x and y.
+
+    Beyond the frame the values are 0.
+    """
     # Cache the matrices only outside tracing and on the CPU; elsewhere they are built where they are used.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
     boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
@@ -136,13 +139,16 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
 
 
 def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
-    """Return parts of a line of `side` cells, each with the range of cells within reach of it."""
+    """Divide a line of `side` cells into parts; return slices of each part and of the cells within `reach` of it."""
     ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
     return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
 def _boxes(side: int, width: float, device: torch.device) -> Tensor:
-    """Return the matrix (side, side) float64 of three box means of `width` cells; a box's end cells count in part."""
+    """Return the smoothing matrix (side, side) float64 of three successive box means, each `width` cells wide.
+
+    The cells at the ends of a box have fractional weights.
+    """
     place = torch.arange(side, dtype=torch.float64, device=device)
     box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
     return box @ box @ box
@@ -152,14 +158,17 @@ _kept_boxes = functools.lru_cache(16)(_boxes)
 
 
 def _slope(density: Tensor) -> Tensor:
-    """Compute the length of the gradient per cell, at least 1e-6: central differences, with zeros beyond the frame."""
+    """Compute the magnitude of the density's gradient per cell, at least 1e-6.
+
+    Differences are central; beyond the frame the density is 0.
+    """
     along, down = functional.pad(density, (1, 1)), functional.pad(density, (0, 0, 1, 1))
     x, y = along[..., 2:] - along[..., :-2], down[..., 2:, :] - down[..., :-2, :]
     return ((x * x + y * y) / 4 + 1e-12).sqrt()
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """Return the cells connected to the densest one, at the resolution of blocks.
+    """Return the part of a region that is connected to its densest cell; connections are resolved to blocks of 8 cells.
 
     The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
     is longer is cut off there.
@@ -177,7 +186,7 @@ def _main_component(inside: Tensor, density: Tensor) -> Tensor:
 
 
 def _enclosed(inside: Tensor) -> Tensor:
-    """Return 1 where the region lies to the left and right, above and below, or at the cell itself, else 0."""
+    """Fill holes: return 1 for cells of the region, and for cells with the region on all four sides, else 0."""
     between = []
     for axis in (2, 3):
         side = inside.shape[axis]
@@ -190,7 +199,7 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute area, centre, semi-axes (px) and angle (rad) of the ellipse with the same moments.
+    """Compute the area of a region, and centre, semi-axes (px) and angle (rad) of the ellipse with equal moments.
 
     The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """

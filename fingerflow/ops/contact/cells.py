@@ -37,7 +37,7 @@ def sum_of(parts: Sequence[Tensor]) -> Tensor:
 
 
 def widest(cells: Tensor) -> Tensor:
-    """Return the maximum of the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, zeros beyond."""
+    """Return the maximum over the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, 0 beyond."""
     down = functional.pad(cells, (0, 0, 1, 1))
     down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
     along = functional.pad(down, (1, 1))
@@ -50,7 +50,7 @@ def enlarge(cells: Tensor, times: int) -> Tensor:
 
 
 def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Interpolate cells (B, 1, h, w) bilinearly at finite positions x, y (B, N), in cells; returns (B, N).
+    """Interpolate values on cells (B, 1, h, w) bilinearly at finite positions x, y (B, N) in units of cells, to (B, N).
 
     Positions beyond the centres of the outermost cells take the value at the nearest position between centres.
     """
@@ -87,7 +87,7 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """Evaluate `covered` at every pixel of the frames that the cells were computed from: (B, 1, height, width) bool.
+    """Return the mask (B, 1, height, width) bool of all pixels of a frame for which `covered` is true.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -101,8 +101,9 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the indices of the two cells around each pixel of a line, as in `at_places`, and the distance from the
-    first in cells; each (pixels,).
+    """Return the indices of the two cells between whose centres each pixel of a line lies, and the pixel's distance.
+
+    The distance is from the first cell, in cells; the line is clamped as in `at_places`. Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

@@ -82,7 +82,7 @@ def _find_runs(mask: Tensor) -> _Runs:
 
 
 def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
-    """Return the mask, shaped as `like`, of the chosen runs."""
+    """Return the mask that consists of the chosen runs, in the shape of `like`."""
     change = torch.zeros(like.numel() + 1, dtype=torch.int8, device=like.device)
     change[runs.first[chosen]] = 1
     change[runs.last[chosen] + 1] -= 1  # a run may begin where, in the row above, another one ended
@@ -90,7 +90,7 @@ def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
 
 
 def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
-    """Return, for each run, the first run of its connected component."""
+    """Return, for each run of a mask, the index of the first run in its connected component."""
     height, width = shape[-2:]
     # The runs of the next row that touch run i are neighbours in the list: from the first that does not end before
     # run i begins to the last that does not begin after it ends.
@@ -110,7 +110,10 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """Return, for each node, the smallest node of its connected component; edges join `upper` and `lower`."""
+    """Find connected components of a graph: return, for each node, the smallest node of its component.
+
+    Edge k joins nodes `upper[k]` and `lower[k]`.
+    """
     root = node
     while True:
         first, second = root[upper], root[lower]

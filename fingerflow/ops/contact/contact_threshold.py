@@ -1,4 +1,4 @@
-"""Contact threshold: relative intensity loss half-way between ridges in contact and the valleys between them."""
+"""Contact threshold: the relative intensity loss half-way between ridges in contact and the valleys beside them."""
 
 from functools import partial
 
@@ -34,8 +34,9 @@ def contact_threshold(
     radius: int = 8,
     stride_px: int = 1,
 ) -> Tensor:
-    """Return the relative intensity loss half-way between the medians of ridges and valleys in the apparent contact.
+    """Compute the contact threshold: the intensity loss half-way between the medians of ridges and valleys.
 
+    The loss is relative to the light of the empty glass; ridges and valleys are the pixels of the apparent contact.
     Otsu's threshold of the median-filtered intensity loss, in 256 levels, first segments the apparent contact
     (`apparent_contact`). Most pixels outside are empty glass, which is brighter than the skin between ridges; it lowers
     Otsu's threshold and enlarges the area by 2 %. The value half-way between the medians of the two classes inside the
@@ -82,7 +83,7 @@ def _threshold(
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
-        """Return the relative intensity loss of a level, corrected for the illumination gain."""
+        """Convert a quantised level to the relative intensity loss, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
     classes = otsu_classes(_counts(smooth, counted).to(kind))
@@ -120,9 +121,10 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 
 
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
-    """Return the level (B,) half-way between the medians of counts (B, 256) above and up to a level.
+    """Return the mean (B,) of two medians of a histogram (B, 256): of the levels above `level` and of those up to it.
 
-    It is NaN where no count lies above. Without counts up to the level, the lower class replaces their median.
+    `level` is (B,). The mean is NaN where no count lies above. Without counts up to the level, the lower class replaces
+    their median.
     """
     place = torch.arange(_LEVELS, dtype=counts.dtype, device=counts.device)
     above = (place > level[:, None]).to(counts.dtype)
@@ -133,7 +135,7 @@ def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
 
 
 def _at_pixels(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
-    """Return the cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of frames of this shape."""
+    """Sample values on cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of a frame."""
     for axis, side in ((3, shape[1]), (2, shape[0])):  # columns while there are few lines, then whole lines
         cells = cells.index_select(axis, torch.arange(0, side, step, device=cells.device) // cell)
     return cells

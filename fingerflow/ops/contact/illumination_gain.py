@@ -18,12 +18,12 @@ _NARROW, _BESIDE = 0.02, 0.06
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
-    """Return the ratio of the light in the frame to that of the empty glass where no skin touches; NaN without glass.
+    """Return the ratio of a frame's light to that of the empty glass, measured where no skin touches the glass.
 
-    A block is wide enough to hold a ridge and the skin beside it. In every block skin is therefore darker than glass
-    and has a larger variance. A mean shift that starts from the brightest of the smooth blocks finds the uppermost mode
-    of their quotients. That mode is glass if it is narrow. One gain per frame describes a change of the lamp, the
-    exposure or the camera gain, but not a shadow.
+    It is NaN if no glass is visible. A block is wide enough to hold a ridge and the skin beside it. In every block skin
+    is therefore darker than glass and has a larger variance. A mean shift that starts from the brightest of the smooth
+    blocks finds the uppermost mode of their quotients. That mode is glass if it is narrow. One gain per frame describes
+    a change of the lamp, the exposure or the camera gain, but not a shadow.
 
     Every fourth line is read. With 1 % of noise per pixel a block of 16 px has 0.13 %, and a frame has hundreds of
     blocks.
@@ -57,8 +57,9 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return the sums (B, 2, N) over blocks of the lines read (B, 1, h, W), every fourth of a frame, and of their
-    squares.
+    """Return, for each block of a frame, the sum of its pixels and the sum of their squares, (B, 2, N).
+
+    `lines` (B, 1, h, W) are every fourth line of the frame.
     """
     height, width = lines.shape[-2:]
     rows = block // _STEP

@@ -10,11 +10,12 @@ _LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the
 
 
 def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale: float) -> Tensor:
-    """Compute the relative change of light on cells, (B, 1, h, w): the logarithm of the quotient of two images.
+    """Compute the relative change of light between images and the image at rest, on cells: (B, 1, h, w).
 
-    The logarithm is averaged with Gaussian weights over the pixels that show the surface in both images (normalised
-    convolution, Knutsson & Westin 1993). The median over the cells, the gain of lamp or camera, is subtracted. Where
-    more than half of the view changes, that median contains the change itself.
+    The change is the logarithm of the quotient of both images. The logarithm is averaged with Gaussian weights over the
+    pixels that show the surface in both images (normalised convolution, Knutsson & Westin 1993). The median over the
+    cells, the gain of lamp or camera, is subtracted. Where more than half of the view changes, that median contains the
+    change itself.
 
     Args:
         frames: (B, 1, H, W), 8 to 16 bit or floating.

@@ -100,7 +100,7 @@ def otsu_threshold(
 
 
 def otsu_classes(counts: Tensor) -> Classes:
-    """Compute Otsu's two classes (1979, eq. 18) of floating counts (B, 256) of levels 0 to 255, in the counts' dtype.
+    """Split histograms (B, 256) of levels 0 to 255 into Otsu's two classes (1979, eq. 18), in the dtype of the counts.
 
     Of equally good thresholds the lowest is taken.
     """
@@ -140,13 +140,13 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
 
 @functools.lru_cache(8)
 def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
-    """Return the bin of each level of an unsigned integer dtype, as uint16."""
+    """Return the lookup table from each level of an unsigned integer dtype to its histogram bin, as uint16."""
     levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32, device="cpu")
     return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Return the bin of every pixel, (B, H W) int32; `bins` for a pixel that does not count."""
+    """Return the histogram bin of every pixel, (B, H W) int32; `bins` for a pixel that is not finite."""
     values = frames.flatten(1)
     if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
         if frames.dtype == torch.uint8 and low == -1 and bins == 256:

@@ -1,4 +1,4 @@
-"""Real contact mask: majority filter over the pixels darker than a given share of the empty glass's light."""
+"""Real contact mask: pixels darker than a share of the empty glass's light, smoothed by a majority filter."""
 
 from functools import partial
 
@@ -13,7 +13,7 @@ from fingerflow.ops.tensors import bytes_of
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
-    """Return True where most pixels of a window lie below black + limit light and the pixel itself is lit.
+    """Return the mask of real contact: lit pixels in whose window most pixels are darker than black + limit light.
 
     The median of an odd number of pixels lies below a limit exactly where most of them do. The result therefore equals
     the comparison of the median-filtered intensity loss with the threshold 1 - limit, but no quotient is formed.
@@ -64,7 +64,7 @@ def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, lit: Ten
 
 
 def majority(holds: Tensor, size: int) -> Tensor:
-    """Return True where more than half of the `size` x `size` window around a pixel is True; (B, 1, H, W) bool of bool.
+    """Apply a majority filter to masks (B, 1, H, W): True where over half of the `size` x `size` window is True.
 
     Beyond the frame the nearest pixel counts.
     """

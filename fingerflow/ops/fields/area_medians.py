@@ -27,7 +27,7 @@ _LATTICE = torch.from_numpy(limits.lattice())
 
 
 class AreaMedians(NamedTuple):
-    """Medians over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
+    """Medians over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN if not known."""
 
     median: Tensor  # (B, 5)
     std: Tensor | None  # (B, 5), standard deviation due to the points' covariance
@@ -35,7 +35,7 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points, of N in B frames, that are left out of the fits and have fields of their own."""
+    """Points excluded from the local fits, with their fields computed otherwise; N points in B frames."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -54,13 +54,13 @@ def area_medians(
     covariance: Tensor | None = None,
     apart: Apart | None = None,
 ) -> AreaMedians:
-    """Compute medians over ellipses of the current image, of fields in reference coordinates.
+    """Compute the medians of divergence, curl and strain over ellipses of the current (deformed) image.
 
-    The gradient G of the displacement with respect to current coordinates is fitted as in `local_gradients` at 800
-    positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979). The gradient with respect to
-    reference coordinates is G (I - G)^-1. The median is thus weighted by current area. A median over the points would
-    differ, since they crowd where skin has texture. So would one over reference positions, since expanding skin covers
-    more of the area than before.
+    The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
+    fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
+    1979). The gradient with respect to reference coordinates is G (I - G)^-1. The median is thus weighted by current
+    area. A median over the points would differ, since they crowd where skin has texture. So would one over reference
+    positions, since expanding skin covers more of the area than before.
 
     A median is NaN where the field is known over less than 0.85 of the ellipse. A position is known if its fit
     satisfies the conditions of `local_gradients` and has points on all sides.
@@ -125,9 +125,9 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Compute `_medians` from the points that are known in at least one frame, unless a graph is traced.
+    """Compute `_medians` without the points that are unknown in every frame; with all points while a graph is traced.
 
-    These are few while a contact grows.
+    The known points are few while a contact grows.
     """
     points: list[Tensor | None] = [reference, displacement, *others]
     count = displacement.shape[1]
@@ -152,7 +152,10 @@ def _medians(
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians in the portable form, of fixed cost; `entered` are the three fields of `Apart` or None."""
+    """Compute the medians of fields by matrix products at fixed cost, the form that is exported.
+
+    `entered` are the three attributes of `Apart`, or None.
+    """
     reference, displacement = reference.mT, displacement.mT  # components before points from here on
     if covariance is not None:
         covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
@@ -220,7 +223,10 @@ def _medians(
 
 
 def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """Return the medians (B, 5) of the `count` (B, 1, 1) known values; arbitrary where fewer than half are known."""
+    """Return the median (B, 5) of each field over its `count` (B, 1, 1) known values.
+
+    It is arbitrary where fewer than half of the values are known.
+    """
     if not torch.compiler.is_exporting():
         lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
         return (lower - upper) / 2
@@ -232,7 +238,7 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
 
 
 class _OfNearest(NamedTuple):
-    """Fields of the point of `Apart` that is nearest to each position."""
+    """Fields of the nearest point of `Apart`, for each of Q positions."""
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -241,7 +247,7 @@ class _OfNearest(NamedTuple):
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Assign to each position the fields of its nearest point, if that is one of `Apart`.
+    """Return, for each position whose nearest point belongs to `Apart`, the fields of that point.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -277,11 +283,11 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) of the error at each position in the error of the median (B, 5, 1).
+    """Return the weight (B, 5, Q) with which the error of a field at each position enters the error of its median.
 
-    It is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the median in units of two standard
-    deviations of a single fit. These are those of a fit among evenly spread points, each with the mean covariance, for
-    which sum w^2 d d' is 0.4 sum w d d'.
+    The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
+    median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
+    each with the mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
     """
     number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
     mean = symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
@@ -295,7 +301,7 @@ def _beside(
 
 
 def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Return derivatives (B, 5, 2, N) of the means of five fields with respect to the points' displacements.
+    """Return the derivatives (B, 5, 2, N) of the five fields' weighted means with respect to the points' displacements.
 
     The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
     position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so
@@ -313,7 +319,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """Return derivatives (B, 5, 2, 2, Q) of the five fields with respect to gradients (B, 4, Q)."""
+    """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
     result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
@@ -352,7 +358,7 @@ def _check(
 
 
 def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Check `apart`; return it in the dtype of `displacement`, with standard deviations only if `with_std`."""
+    """Check an `Apart` and convert it to the dtype of `displacement`; drop standard deviations unless `with_std`."""
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

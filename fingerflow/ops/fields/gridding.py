@@ -18,7 +18,7 @@ def scattered_to_grid(
     gauge_length: float,
     mask: Tensor | None = None,
 ) -> Tensor:
-    """Return values (B, C, H, W) on grid nodes, from values (B, N, C) at points (B, N, 2).
+    """Interpolate values (B, N, C) at scattered points (B, N, 2) to the nodes of a grid, (B, C, H, W).
 
     Each node takes the value of the weighted linear fit of `local_gradients` with this gauge length (see there for the
     smoothing). It is exact for linear fields. A node is NaN

@@ -13,7 +13,7 @@ from fingerflow.ops.fields.weighted_moments import weighted_moments
 
 
 class LocalFit(NamedTuple):
-    """Linear fits at Q queries of C components; NaN where the points do not determine a fit."""
+    """Linear fits around Q queries to values of C components; NaN where the points do not determine a fit."""
 
     value: Tensor  # (B, Q, C), the unit of the values
     gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
@@ -160,7 +160,7 @@ def _check(
 
 
 def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
-    """Return the covariance (B, Q, C, 2, C, 2) of gradients: the noise about the centroid, between two inverses."""
+    """Return the covariance (B, Q, C, 2, C, 2) of fitted gradients: A^-1 (sum w^2 s d d') A^-1, d from the centroid."""
     plain, along_x, along_y, xx, xy, yy = (noise_sums / mass.square()[..., None, None]).unbind(-2)  # (B, Q, V) each
     x, y = centre[..., :1], centre[..., 1:]
     xx = xx - 2 * x * along_x + x * x * plain

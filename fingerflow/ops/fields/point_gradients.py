@@ -1,4 +1,4 @@
-"""Displacement gradients at the points themselves, at fixed cost."""
+"""Displacement gradients at tracked points, by local fits around each point."""
 
 import torch
 from torch import Tensor
@@ -13,12 +13,12 @@ from fingerflow.ops.tensors import finite, sum_rows
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
 ) -> tuple[Tensor, Tensor | None]:
-    """Return `local_gradients` of displacements (B, N, 2) at reference positions (1 or B, N, 2), and their covariance.
+    """Return displacement gradients (B, N, 2, 2) at the points and their covariance, as `local_gradients` fits them.
 
-    The gradient is (B, N, 2, 2). With `covariance` (B, N, 2, 2) of the displacements, its covariance is (B, N, 2, 2, 2,
-    2), else None; both as in `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled
-    kernels fit differences of positions; the portable form, which is exported, uses matrix products
-    (`ops.fields.plane_fit`).
+    Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
+    displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
+    `LocalFit`. They are NaN also where a point's own displacement is not known. Compiled kernels fit differences of
+    positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
     """
     if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
@@ -58,7 +58,7 @@ def _gradients(
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
-    """Return the `Support` for the portable form of `neighbour_planes`, to be reused for all values at these positions.
+    """Return the `Support` with which `neighbour_planes` fits any values at these reference positions.
 
     `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """
@@ -71,11 +71,11 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
 def neighbour_planes(
     reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Return values (B, N, C) and gradients (B, N, C, 2) of `local_gradients` at reference positions (1 or B, N, 2).
+    """Fit planes to values around each point: return the fitted values (B, N, C) and gradients (B, N, C, 2).
 
-    A point without a value of its own gets the fit of its neighbours. A point with one unknown component counts as
-    unknown. Compiled and portable forms are as for `point_gradients`; the latter can reuse the `neighbours_support` of
-    these positions.
+    The fits are those of `local_gradients` at `reference` (1 or B, N, 2). A point without a value of its own gets the
+    fit of its neighbours. A point with one unknown component counts as unknown. Compiled and portable forms are as for
+    `point_gradients`; the latter can reuse the `neighbours_support` of these positions.
     """
     if kernels.serve(reference, values):
         fit = local_gradients(reference, values, gauge_length=gauge_length)
@@ -90,10 +90,10 @@ def neighbour_planes(
 
 
 def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
-    """Return gradients (B, Q, C, 2) at queries (B, Q, 2) of values (B, N, C) at points (B, N, 2).
+    """Return gradients (B, Q, C, 2) at queries (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
 
-    They are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed cost,
-    which is exported. `gauge_length` (1,) is in the unit of the points.
+    Gradients are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed
+    cost, which is exported. `gauge_length` (1,) is in the unit of the points.
     """
     radius = gauge_length.to(points.dtype) / 2
     both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)

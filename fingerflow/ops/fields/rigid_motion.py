@@ -63,5 +63,5 @@ def _centred(values: Tensor, mass: Tensor) -> Tensor:
 
 
 def _sum(values: Tensor) -> Tensor:
-    """Return the sums (B, 1) of values (B, N)."""
+    """Return the sums (B, 1) over the points of values (B, N)."""
     return values.sum(1, keepdim=True)

@@ -20,7 +20,7 @@ def check_scattered(points: Tensor, values: Tensor) -> None:
 
 
 def check_batches(**tensors: Tensor) -> None:
-    """Raise ValueError unless the first dimensions are equal, or 1."""
+    """Raise ValueError unless the first dimensions of all tensors are equal, or 1."""
     sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
     if len(set(sizes.values()) - {1}) > 1:
         found = ", ".join(f"{name} {size}" for name, size in sizes.items())
@@ -28,7 +28,7 @@ def check_batches(**tensors: Tensor) -> None:
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:
-    """Return the widest dtype given, and at least float32.
+    """Return the widest dtype of the tensors, but at least float32.
 
     Differences of half-precision positions would lose the strain.
     """
@@ -36,7 +36,7 @@ def working_dtype(*tensors: Tensor) -> torch.dtype:
 
 
 def result_dtype(*tensors: Tensor) -> torch.dtype:
-    """Return the widest dtype given."""
+    """Return the widest dtype of the tensors."""
     widest = tensors[0].dtype
     for tensor in tensors[1:]:
         widest = torch.promote_types(widest, tensor.dtype)

@@ -15,19 +15,19 @@ from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
 
 
 def divergence(gradient: Tensor) -> Tensor:
-    """Return du/dx + dv/dy (...), without unit: the relative growth of area to first order."""
+    """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order."""
     ux, _, _, vy = _parts(gradient)
     return ux + vy
 
 
 def curl(gradient: Tensor) -> Tensor:
-    """Return dv/dx - du/dy (...), in rad: twice the small rotation, positive from x towards y."""
+    """Return the curl dv/dx - du/dy (...), in rad: twice the small rotation, positive from x towards y."""
     _, uy, vx, _ = _parts(gradient)
     return vx - uy
 
 
 def shear(gradient: Tensor) -> Tensor:
-    """Return the two shear components (..., 2), without unit.
+    """Return the two shear components (..., 2) of a displacement gradient, without unit.
 
     They are s = du/dx - dv/dy along the axes and t = du/dy + dv/dx along the diagonals. With divergence d and curl c
     the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021, figure S6).
@@ -37,7 +37,7 @@ def shear(gradient: Tensor) -> Tensor:
 
 
 def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the strain (..., 3) as (exx, eyy, exy) of a displacement gradient (..., 2, 2) in reference coordinates.
+    """Return the strain (..., 3), exx, eyy, exy, of a displacement gradient (..., 2, 2) in reference coordinates.
 
     The lab's published script has dv/dx instead of dv/dy in eyy; here it is dv/dy. `measure` is one of
     - "green_lagrange": (F'F - I) / 2 with F = I + gradient; zero for every rotation.
@@ -72,7 +72,7 @@ class PrincipalStrains(NamedTuple):
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Return the major and minor principal strain, and the direction of the major one, of (exx, eyy, exy) (..., 3).
+    """Return the major and minor principal strain of (exx, eyy, exy) (..., 3), and the direction of the major one.
 
     Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
     autograd gives both the gradient of their mean.
@@ -112,7 +112,7 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
 def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the stresses sxx, syy and sxy, MPa, of strains exx, eyy and exy for `strain_energy_density`."""
+    """Return the stresses sxx, syy and sxy, MPa, from strains exx, eyy and exy, as in `strain_energy_density`."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
 
@@ -120,20 +120,20 @@ def stress_parts(
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """Return the quadratic form of `strain_energy_density` of exx^2, eyy^2, exy^2 and exx eyy, or of their means."""
+    """Return the energy density, mJ/mm^3, from the products exx^2, eyy^2, exy^2 and exx eyy, or from their means."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 
 
 def stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
-    """Return the factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
+    """Return the coefficients of exx^2 + eyy^2, exx eyy and exy^2 in the strain energy density, MPa."""
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))
     return direct, scale * poisson_ratio / (1 - 2 * poisson_ratio), scale
 
 
 def _parts(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return du/dx, du/dy, dv/dx, dv/dy."""
+    """Return the elements du/dx, du/dy, dv/dx and dv/dy of a displacement gradient (..., 2, 2)."""
     if not gradient.is_floating_point() or gradient.shape[-2:] != (2, 2):
         raise ValueError(f"gradient must be floating (..., 2, 2), found {gradient.dtype} {tuple(gradient.shape)}")
     return gradient[..., 0, 0], gradient[..., 0, 1], gradient[..., 1, 0], gradient[..., 1, 1]

@@ -10,19 +10,19 @@ from fingerflow.ops.fields.strain import STRAIN_MEASURES
 
 
 def divergence_std(covariance: Tensor) -> Tensor:
-    """Return the standard deviation (...) of du/dx + dv/dy."""
+    """Return the standard deviation (...) of the divergence du/dx + dv/dy."""
     ux, vy = covariance[..., 0, 0, :, :], covariance[..., 1, 1, :, :]
     return _root(ux[..., 0, 0] + ux[..., 1, 1] + vy[..., 0, 0] + vy[..., 1, 1])
 
 
 def curl_std(covariance: Tensor) -> Tensor:
-    """Return the standard deviation (...) of dv/dx - du/dy, in rad."""
+    """Return the standard deviation (...) of the curl dv/dx - du/dy, in rad."""
     uy, vx = covariance[..., 0, 1, :, :], covariance[..., 1, 0, :, :]
     return _root(vx[..., 1, 0] - vx[..., 0, 1] - uy[..., 1, 0] + uy[..., 0, 1])
 
 
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
-    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the gradient.
+    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the displacement gradient.
 
     They are 20 separate tensors, four of each field, as are the elements du/dx, du/dy, dv/dx and dv/dy of the gradient.
     """
@@ -39,7 +39,7 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
 
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, to first order."""
+    """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, propagated to first order."""
     (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
     sensitivity = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
     rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]
@@ -49,7 +49,7 @@ def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagran
 def strain_covariance_parts(
     xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the contribution of a corner of a triangle to the covariance of its strain.
+    """Return the contribution of one corner's displacement error to the covariance of a triangle's strain.
 
     These are the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of a corner
     of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched by some
@@ -64,5 +64,5 @@ def strain_covariance_parts(
 
 
 def _root(variance: Tensor) -> Tensor:
-    """Return the square root; variances that rounding made negative count as 0."""
+    """Return standard deviations from variances; variances that rounding made negative count as 0."""
     return variance.clamp(min=0).sqrt()

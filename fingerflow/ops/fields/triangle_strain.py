@@ -1,4 +1,4 @@
-"""Strain of triangles in many frames, its energy over the triangles in contact, and the uncertainty of both."""
+"""Strain of triangles in many frames, strain energy of the triangles in contact, and standard deviations of both."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, tri
 
 
 class SharedErrors(NamedTuple):
-    """Correlation of the errors of points that lie near each other."""
+    """Correlation between the position errors of neighbouring points."""
 
     corners: Tensor  # (M, 3), between corners 0 and 1, 1 and 2, 2 and 0 of the triangles
     pairs: Tensor  # (K, 2) int64, all pairs of points with correlated errors, each pair once
@@ -80,7 +80,7 @@ def triangle_strain(
         return TriangleStrain(strain_of, strain_std, held, energy, deviation + 0 * energy)
 
     def at_corners(values: Tensor) -> Tensor:
-        """Gather values (B, N) at corners, (3, M, B)."""
+        """Gather values (B, N) of points at the corners of the triangles, as (3, M, B)."""
         result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
         return result
 
@@ -90,7 +90,7 @@ def triangle_strain(
         return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
 
     def at_points(corner_values: Tensor) -> Tensor:
-        """Sum contributions of corners (3, M, B) to points, (N, B)."""
+        """Sum contributions (3, M, B) of triangle corners over the corners at each point, to (N, B)."""
         sums = corner_values.new_zeros(displacement.shape[1], len(displacement))
         return sums.index_add_(0, corners, corner_values.flatten(0, 1))
 
@@ -118,7 +118,7 @@ def triangle_strain(
 
 
 def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
-    """Return the standard deviation (B,) of the energy.
+    """Return the standard deviation (B,) of the strain energy.
 
     The variance is the sum of two parts:
     - To first order: that of the errors times the forces x, y (N, B) at the points.
@@ -144,7 +144,7 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
 
 
 def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Return the area (B, M) with which each triangle counts in an integral over those `in_contact` (B, M).
+    """Return the area (B, M) with which each triangle counts in an integral over the triangles in contact.
 
     Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
     half of the area, or where no triangle is in contact.
@@ -156,6 +156,6 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
 
 
 def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return the sum (M, 3, 2) of the slopes of the other two corners, each times its correlation (M, 3)."""
+    """Return, for each corner, the sum (M, 3, 2) of the other two corners' slopes times their error correlations."""
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

@@ -11,7 +11,7 @@ MINIMUM_QUALITY = 0.1
 def triangle_gradients(
     points: Tensor, triangles: Tensor, values: Tensor, *, minimum_quality: float = MINIMUM_QUALITY
 ) -> Tensor:
-    """Return the gradient of the linear interpolation of `values` on each triangle (the constant-strain triangle).
+    """Return the gradient of point values interpolated linearly on each triangle (the constant-strain triangle).
 
     Computed in float32 or wider, from edge vectors only, so that only the rounding of the positions depends on the
     distance from the origin.
@@ -56,10 +56,11 @@ def triangle_gradients(
 
 
 def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
-    """Return the gradients (B, M, 3, 2) of the linear shape functions, 1 on one corner of a triangle and 0 on two.
+    """Return the gradients (B, M, 3, 2) of the three linear shape functions of each triangle.
 
-    They are per length unit of points (B, N, 2): with values u_k at the corners, `triangle_gradients` is the sum of u_k
-    s_k'. Infinite or NaN for a collinear triangle, NaN where a vertex is missing.
+    A shape function is 1 on one corner and 0 on the other two. Gradients are per length unit of points (B, N, 2): with
+    values u_k at the corners, `triangle_gradients` is the sum of u_k s_k'. Infinite or NaN for a collinear triangle,
+    NaN where a vertex is missing.
     """
     check_scattered(points, points)
     first, second = _edges(points, triangles)
@@ -70,7 +71,7 @@ def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def triangle_areas(points: Tensor, triangles: Tensor) -> Tensor:
-    """Return the areas (B, M), L^2, of triangles (M, 3) on points (B, N, 2) in L.
+    """Return the areas (B, M) of triangles (M, 3) between points (B, N, 2), in the squared unit of the points.
 
     They are never negative, and NaN where a vertex is missing.
     """
@@ -90,9 +91,9 @@ def triangle_quality(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def _edges(per_point: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the two differences (B, M, C) of values (B, N, C) from each triangle's first vertex.
+    """Return the differences of point values along two edges of each triangle, from its first vertex; (B, M, C) each.
 
-    They are NaN where a vertex is missing.
+    The values are (B, N, C). The differences are NaN where a vertex is missing.
     """
     if triangles.dim() != 2 or triangles.shape[1] != 3:
         raise ValueError(f"triangles must have shape (M, 3), found {tuple(triangles.shape)}")

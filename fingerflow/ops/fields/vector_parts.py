@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class Parts(NamedTuple):
-    """Parts of a field, (B, 2, H, W) each, which add up to it; NaN outside the mask.
+    """Helmholtz-Hodge parts of a vector field, (B, 2, H, W) each; their sum is the field; NaN outside the mask.
 
     Attributes:
         irrotational: without curl: the flow due to the divergence inside the mask.
@@ -22,9 +22,10 @@ class Parts(NamedTuple):
 
 
 def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
-    """Compute the natural Helmholtz-Hodge decomposition (Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014).
+    """Compute the natural Helmholtz-Hodge decomposition of vector fields.
 
-    No boundary condition is imposed: with the Green function of the whole plane, G = log|x| / 2 pi,
+    Source: Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014. No boundary condition is imposed: with the Green function
+    of the whole plane, G = log|x| / 2 pi,
 
         irrotational(x) = int_mask grad G(x - y) div f(y) dy,   solenoidal(x) = int_mask J grad G(x - y) curl f(y) dy,
 
@@ -74,7 +75,7 @@ def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
 
 
 def _slope(values: Tensor, inside: Tensor, dim: int) -> Tensor:
-    """Return the derivative per pixel: central inside, one-sided where one neighbour is outside."""
+    """Return the derivative per pixel along a dimension: central differences, one-sided at the border of the mask."""
     after, before = (_moved(values, dim, step) for step in (1, -1))
     has_after, has_before = (_moved(inside, dim, step) for step in (1, -1))
     forward, backward = torch.where(has_after, after - values, 0), torch.where(has_before, values - before, 0)
@@ -96,9 +97,10 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the integrals of the two components of grad G over a pixel at each distance, (2 H, 2 W).
+    """Return the integrals of both components of grad G over a pixel, for each distance between pixels.
 
-    The order is that of a Fourier transform: negative distances follow the positive ones.
+    G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
+    transform: negative distances follow the positive ones.
     """
     # float64 keeps the precision of the differences of the antiderivative at all distances within a frame.
     x, y = (
@@ -109,7 +111,7 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _integral(along: Tensor, across: Tensor) -> Tensor:
-    """Return the integral of along / (2 pi r^2) over the unit square around a position."""
+    """Return the integral of a / (2 pi (a^2 + b^2)) over the unit square around (a, b) = (along, across)."""
 
     def antiderivative(a: Tensor, b: Tensor) -> Tensor:
         return b / 2 * torch.log(a.square() + b.square()) + a * torch.atan(b / a)

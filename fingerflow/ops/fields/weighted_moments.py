@@ -1,4 +1,4 @@
-"""Sums over scattered points with a compact weight around each query, from which a local fit is solved."""
+"""Weighted sums over the scattered points around each query, from which a local fit is solved."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,11 @@ _CHUNK_ELEMENTS = 2**18
 
 
 class WeightedMoments(NamedTuple):
-    """Sums over the usable points, with d = point - query and weight w = (1 - (|d| / R)^2)^2 within R, 0 beyond."""
+    """Weighted sums around each query over the usable points.
+
+    Here d = point - query, and the weight is w = (1 - (|d| / R)^2)^2 within the radius R, 0 beyond; v and s are the
+    values and the noise of the points.
+    """
 
     point_count: Tensor  # (B, Q), points within R
     mass: Tensor  # (B, Q), sum w
@@ -23,10 +27,10 @@ class WeightedMoments(NamedTuple):
 def weighted_moments(
     points: Tensor, queries: Tensor, usable: Tensor, values: Tensor, noise: Tensor | None, radius: float
 ) -> WeightedMoments:
-    """Compute the moments at each query of `values` v (B, N, C) and `noise` s (B, N, V) of the `usable` (B, N) points.
+    """Compute the weighted sums around each query of positions, values v (B, N, C) and noise variances s (B, N, V).
 
-    Points (B, N, 2) and queries (B, Q, 2) must be finite, and values and noise 0 where a point is not usable; batches
-    may be 1. Queries are processed in pieces of bounded size.
+    Points that are not `usable` (B, N) do not count. Points (B, N, 2) and queries (B, Q, 2) must be finite, and values
+    and noise 0 where a point is not usable; batches may be 1. Queries are processed in pieces of bounded size.
     """
     geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
     shared = geometries == 1
@@ -73,7 +77,7 @@ def weighted_moments(
 
 
 class _Columns:
-    """Data (B, N, F) to be summed with a kernel (G, Q, N), giving (B, Q, F).
+    """Point data (B, N, F), arranged so that one product with weights (G, Q, N) sums them over the points.
 
     If one geometry serves all frames (G = 1), the frames are concatenated as columns of one matrix product.
     """

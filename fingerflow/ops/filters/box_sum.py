@@ -17,7 +17,7 @@ def box_sum(values: Tensor, size: int) -> Tensor:
 
 
 def _line_sum(values: Tensor, size: int, axis: int) -> Tensor:
-    """Sum `size` neighbours from the sums of 1, 2, 4 ... neighbours that the binary digits of `size` select."""
+    """Sum windows of `size` neighbours along an axis, from sums of 1, 2, 4 ... neighbours (binary digits of `size`)."""
     length = values.shape[axis] - size + 1
     total, start, span = None, 0, 1
     while True:

@@ -1,4 +1,4 @@
-"""Images at half resolution."""
+"""Reduction of images to half resolution."""
 
 from torch import Tensor
 

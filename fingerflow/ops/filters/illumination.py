@@ -16,7 +16,7 @@ LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
 
 class NormalizedFrames(NamedTuple):
-    """Frames normalised by the empty glass.
+    """Frames divided by the light of the empty glass, and a mask of the pixels for which this quotient is known.
 
     `frames` (B, 1, H, W) is the light relative to that of the empty glass; `valid` (B, 1, H, W) bool is True where this
     quotient is known.
@@ -29,7 +29,7 @@ class NormalizedFrames(NamedTuple):
 def normalize_illumination(
     frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = LEAST_LIGHT
 ) -> NormalizedFrames:
-    """Compute (frames - dark) / (reference - dark) where the reference, the empty glass, is lit.
+    """Normalise frames by the empty glass: (frames - dark) / (reference - dark) where the reference is lit.
 
     Outside the lit disc the quotient is noise divided by noise. A pixel is masked (valid False, quotient exactly 1 as
     for empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile or not positive,
@@ -99,7 +99,7 @@ def glass_light(
 
 
 def _full_light(light: Tensor) -> Tensor:
-    """Return the full light (B,), a high quantile, of light (B, 1, H, W)."""
+    """Return the full light (B,) of images of light (B, 1, H, W): a high quantile of their pixels."""
     step = max(1, min(light.shape[-2:]) // PIXELS_OF_LIGHT)
     return frame_quantile(light.detach()[..., ::step, ::step], FULL_LIGHT).to(light.dtype)
 
@@ -109,7 +109,9 @@ def _exceeds(light: Tensor, least: Tensor) -> Tensor:
 
 
 def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:
-    """Compute the relative intensity loss per pixel, 1 - quotient or first quotient - quotient; contact is bright.
+    """Compute the relative intensity loss per pixel: 1 - quotient, or the loss since a first instant of contact.
+
+    The second form is first quotient - quotient. Contact is bright.
 
     Args:
         normalized: quotients (B, 1, H, W) of `normalize_illumination`.
@@ -140,7 +142,7 @@ def quantize(signal: Tensor) -> Tensor:
 
 
 def dequantize(levels: Tensor) -> Tensor:
-    """Return the contact signal of levels, the inverse of `quantize`, for example of a threshold on quantised frames.
+    """Convert quantised levels back to the contact signal, for example a threshold; the inverse of `quantize`.
 
     Args:
         levels: any shape, uint8 or floating; NaN stays NaN.
@@ -153,7 +155,7 @@ def dequantize(levels: Tensor) -> Tensor:
 
 
 def _check(images: list[Tensor]) -> None:
-    """Raise ValueError if the shapes of frames, reference and dark (in this order) do not fit."""
+    """Raise ValueError if the shapes of frames, reference and dark (in this order) do not fit each other."""
     frames = images[0]
     for name, image in zip(("frames", "reference", "dark"), images, strict=False):
         fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])

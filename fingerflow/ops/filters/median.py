@@ -1,4 +1,4 @@
-"""Exact median filter."""
+"""Exact median filter of images."""
 
 import functools
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ _DTYPES = (
 
 
 def median_filter(frames: Tensor, size: int = 9) -> Tensor:
-    """Return the median of the `size` x `size` window around each pixel, by the shared network of `median_network`.
+    """Return the median of the `size` x `size` window around each pixel, by the network of `kernels.median_network`.
 
     Args:
         frames: (B, 1, H, W), 8 to 64 bit signed integers, uint8, uint16 or floating. A frame may be smaller than the
@@ -76,7 +76,10 @@ def _planned(size: int) -> Any:
 
 
 def plain(program: Any) -> Any:
-    """Return a program as plain tuples: a compiler accepts only those as constants, and must not trace their making."""
+    """Convert a median program to plain tuples, the only form that the torch compiler accepts as a constant.
+
+    The compiler must not trace the making of a program.
+    """
     return tuple(map(plain, program)) if isinstance(program, tuple) else program
 
 
@@ -86,12 +89,18 @@ def _alike(frames: Tensor, size: int) -> Tensor:
 
 @torch_op(shapes=_alike)
 def large_median(frames: Tensor, size: int) -> Tensor:
-    """Compute `median_filter` as one op for a compiler, which needs minutes for thousands of minima and maxima."""
+    """Compute `median_filter` as an opaque torch op.
+
+    The compiler would need minutes to trace thousands of minima and maxima.
+    """
     return _by_network(frames, size).contiguous()
 
 
 def _of_rows(frames: Tensor, size: int) -> Tensor:
-    """Run the network as `_run` does, on planes of whole rows, which an unfused runtime copies in one piece."""
+    """Compute the median as `_run` does, but with tiles of one column, for exported graphs.
+
+    A plane then holds whole rows, which an unfused runtime copies in one piece.
+    """
     program = _rows_program(size)
     batch, _, height, width = frames.shape
     rows, half = program.tile[0], size // 2
@@ -116,7 +125,10 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Run the program on flat planes, one per pixel of the tile; each step is one pass over contiguous memory."""
+    """Compute the median of every window by a program of minima and maxima on flat planes, one per pixel of a tile.
+
+    Each step is one pass over contiguous memory.
+    """
     batch, _, height, width = frames.shape
     (rows, columns), (down, right) = program.tile, program.reach
     tiles_y, tiles_x = (height + rows - 1) // rows, (width + columns - 1) // columns
@@ -143,7 +155,7 @@ def run_network(
     *,
     views: bool = True,
 ) -> list[Tensor]:
-    """Compute the outputs of a program of minima and maxima, from `MedianProgram` or `join_program`.
+    """Execute a program of minima and maxima (`MedianProgram` or `join_program`) and return its output planes.
 
     Args:
         steps, outputs: of the program.
@@ -183,5 +195,5 @@ def run_network(
 
 
 def _ahead(plane: Tensor, offset: int, lack: int) -> Tensor:
-    """Return a flat plane shifted forward by `offset` and lengthened by `lack` elements, zeros at its end."""
+    """Return a flat plane shifted forward by `offset` elements and lengthened by `lack` zeros at its end."""
     return functional.pad(plane, (-offset, offset + lack)) if offset or lack else plane

@@ -12,7 +12,7 @@ Shape = Literal["disc", "diamond"]
 
 
 def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
-    """Dilate a mask: return every pixel within `radius` of it.
+    """Dilate masks by a disc or a diamond of `radius` pixels.
 
     The disc holds the offsets with dx^2 + dy^2 <= radius^2, the diamond those with |dx| + |dy| <= radius. Each row of
     either is one run, so a dilation is a union of horizontally widened masks shifted up and down: about 3 radius passes
@@ -44,7 +44,7 @@ def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
-    """Erode a mask: return every pixel whose neighbourhood within the frame lies in the mask.
+    """Erode masks by a disc or a diamond: keep pixels whose neighbourhood within the frame lies in the mask.
 
     Pixels outside the frame do not erode (as in OpenCV): contact cut off by the frame keeps its extent on that side.
     Erosion is therefore the complement of the dilated background.
@@ -55,7 +55,7 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
-    """Return the half width of each row of the shape, from -radius to radius; check the arguments of `dilate`."""
+    """Check the arguments of `dilate`; return the half width of each row of the shape, from -radius to radius."""
     check_mask(mask)
     if radius < 0:
         raise ValueError(f"radius is {radius} px: give 0 or more")
@@ -68,7 +68,7 @@ def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
 
 
 def _widen(mask: Tensor, by: int) -> Tensor:
-    """Widen each run by `by` pixels to both sides; each pass doubles the reach."""
+    """Widen each horizontal run of a mask by `by` pixels to both sides; each pass about doubles the reach."""
     covered = 0
     while covered < by:
         step = min(covered + 1, by - covered)

@@ -10,12 +10,12 @@ from fingerflow.kernels.tracking_limits import ROUNDING
 
 
 def rounding_variance(images: Tensor) -> float:
-    """Return the variance of the rounding to whole grey levels, 1/12; 0 for floating images."""
+    """Return the variance due to rounding to whole grey levels: 1/12 for integer images, 0 for floating ones."""
     return 0.0 if images.is_floating_point() else ROUNDING
 
 
 def estimate_noise(images: Tensor) -> Tensor:
-    """Estimate the standard deviation of white noise, in grey levels.
+    """Estimate the standard deviation of an image's white noise, in grey levels.
 
     The estimate is the scaled mean absolute response of the mask [1 -2 1]^T [1 -2 1], which cancels any image that is
     locally a sum of a function of x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq.

@@ -10,7 +10,7 @@ _HALVINGS = 24
 
 
 def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
-    """Return the smallest value that at least this fraction of a frame's finite pixels do not exceed.
+    """Return a quantile of each frame: the smallest value not exceeded by at least `fraction` of the finite pixels.
 
     The quantile of uint8 is read from the histogram. For other dtypes a bisection counts the pixels up to the middle of
     the interval that contains the value.

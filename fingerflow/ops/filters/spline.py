@@ -20,11 +20,10 @@ from fingerflow.kernels import tensors as kernels
 
 
 def spline_coefficients(images: Tensor) -> Tensor:
-    """Compute the spline coefficients of ``images``, for both orders.
+    """Compute the spline coefficients of images; they serve both spline orders.
 
     Args:
-        images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the image is mirrored about its
-        edge pixels.
+        images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the nearest pixel counts.
 
     Returns:
         (B, 1, H, W), float64 for float64 images, else float32.
@@ -38,7 +37,7 @@ def spline_coefficients(images: Tensor) -> Tensor:
 
 
 def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Compute the weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
+    """Compute the B-spline weights of the coefficients around a position, for the value and for the derivative.
 
     Args:
         fraction: position minus its floor, any shape, in [0, 1).

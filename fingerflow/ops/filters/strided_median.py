@@ -1,4 +1,4 @@
-"""Median filter sampled with a stride, for threshold estimation; medians between the samples are not computed."""
+"""Median filter evaluated at every n-th pixel only, for the estimation of thresholds."""
 
 from typing import Any
 
@@ -15,10 +15,11 @@ _OWN_WINDOWS = 3
 
 
 def median_at(frames: Tensor, size: int, step: int) -> Tensor:
-    """Compute every `step`-th median of every `step`-th line: `median_filter(frames, size)[..., ::step, ::step]`.
+    """Compute the median filter at every `step`-th pixel of every `step`-th line.
 
-    The columns of all windows are sorted in one batch. Then one half of each window's columns is merged with the other
-    half, again in one batch, until one column is left.
+    The result is `median_filter(frames, size)[..., ::step, ::step]`. The columns of all windows are sorted in one
+    batch. Then one half of each window's columns is merged with the other half, again in one batch, until one column is
+    left.
 
     Args:
         frames: (B, 1, H, W) of any dtype with a minimum. Beyond the border the nearest pixel counts.
@@ -41,7 +42,7 @@ def median_at(frames: Tensor, size: int, step: int) -> Tensor:
 
 
 def _window_places(side: int, size: int, step: int, device: torch.device) -> Tensor:
-    """Return the indices (size, windows) of the window pixels along one axis, clamped to the frame."""
+    """Return the pixel indices (size, windows) of the sampled windows along one axis, clamped to the frame."""
     middle = torch.arange(0, side, step, device=device)
     return (torch.arange(size, device=device)[:, None] - size // 2 + middle).clamp(0, side - 1)
 
@@ -55,7 +56,7 @@ def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
 
 
 def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]:
-    """Merge the columns along axis 1, of `count` pixels each, into one."""
+    """Merge the sorted columns of each window (along axis 1, `count` pixels each) into one sorted column."""
     width = columns[0].shape[1]
     if width == 1:
         return columns

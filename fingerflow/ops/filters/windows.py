@@ -68,7 +68,7 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """Compute ``size`` weighted sums of neighbours along ``dim``, with weights (P, taps) per point."""
+    """Compute ``size`` weighted sums of neighbours along ``dim`` of patches, with weights (P, taps) of each point."""
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):
@@ -79,7 +79,10 @@ def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
 def _sample_warped(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Sample warped windows; their positions have no common fraction, so every sample has its own weights."""
+    """Evaluate the spline and its gradient on warped windows, with separate spline weights for every sample.
+
+    The positions of the samples of a warped window have no common fraction.
+    """
     flat = coefficients.reshape(-1)
     # Few points at a time, so that their weights stay in the cache.
     pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
@@ -137,7 +140,7 @@ def _sample_piece(
 
 
 def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
-    """Return lines (..., length) of planes from the flat indices of their ``first`` pixels, (...) int64.
+    """Copy runs of ``length`` pixels from images: (..., length), given the flat indices of their ``first`` pixels.
 
     Whole lines are copied ten times as fast as single pixels are gathered.
     """
@@ -148,7 +151,7 @@ def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """Return the elements (P, ...) of flat (M,) at ``index`` + ``later``, with indices (P, ...)."""
+    """Return the elements of a flat tensor (M,) at ``index`` + ``later``, in the shape (P, ...) of ``index``."""
     if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
     # A shifted view needs no new index; `take` and indexing need four times as long.

@@ -1,4 +1,4 @@
-"""Displacement of every pixel of the skin between two images: combined local and global flow.
+"""Dense optical flow: displacement of every pixel of the skin between two images, by combined local and global flow.
 
 It minimises, over the pixels x of a mask,
 
@@ -60,7 +60,7 @@ _TINY = 1e-12
 
 
 class Flow(NamedTuple):
-    """Displacement field of B pairs of images.
+    """Dense displacement field of B pairs of images, with covariance and residual.
 
     Attributes:
         displacement: (B, 2, H, W) px as (u, v), of the skin at each pixel of the first image; NaN outside the mask, and
@@ -80,7 +80,7 @@ class Flow(NamedTuple):
 
 
 class FlowTemplate(NamedTuple):
-    """Data of the first image (B, 1, H, W) that the flow needs, from `prepare_flow`."""
+    """Data of a first image (B, 1, H, W) from which the flow to any later image is computed; from `prepare_flow`."""
 
     value: Tensor  # (C B, 1, H, W) splines of the constant quantities, at the pixels
     gradient: Tensor  # (C B, 2, H, W), 0 outside the mask
@@ -159,7 +159,7 @@ def whole_flow(
     robust: bool,
     of_gradient: bool,
 ) -> Flow:
-    """Compute `dense_flow`, with its arguments, as one operator: the number of halved images depends on data."""
+    """Compute `dense_flow` as one opaque torch op; a compiler cannot trace a data-dependent number of halved images."""
     constant: Constancy = "gradient" if of_gradient else "brightness"
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise, constancy=constant)
     return find_flow(template, current, initial, warps, "charbonnier" if robust else "quadratic")
@@ -193,7 +193,10 @@ def prepare_flow(
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
-    """Prepare a floating image and its halved ones, while their texture exceeds the noise; without covariance."""
+    """Compute the flow template of a floating-point image, and of its halved images while texture exceeds the noise.
+
+    The covariance is left None.
+    """
     given = channels(spline_coefficients(first), constancy)
     count = len(given) // len(first)
     fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
@@ -220,7 +223,7 @@ def _prepared(
 
 
 def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
-    """Return the covariance (B, 3, h, w), xx, xy, yy, on the cells of the finest level, at a gain of 1."""
+    """Return the covariance of the flow, xx, xy, yy (B, 3, h, w), on the cells of the finest level, at a gain of 1."""
     alpha = _smoothing(template.variance, template.roughness)
     if finest is not template.levels[0]:
         alpha = alpha * mean_edge_weight(finest, template.levels[0])
@@ -229,7 +232,7 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the minimum (B, ...) over `count` channels (C B, ...)."""
+    """Return the minimum (B, ...) over the `count` channels that are stacked in the batch axis (C B, ...)."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -238,17 +241,17 @@ def _sum(fields: Tensor, count: int) -> Tensor:
 
 
 def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
-    """Return the eigenvalue (B,) of J for noise alone."""
+    """Return the eigenvalue (B,) that white noise alone gives the structure tensor J."""
     return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
-    """Return the smoothing weight alpha (B, 1, 1, 1)."""
+    """Return the weight alpha (B, 1, 1, 1) of the smoothness term, 2 variance / roughness^2."""
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
 def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
-    """Compute the fields of a first image before integration over windows.
+    """Compute the spline, slopes and structure tensor of a first image, before integration over windows.
 
     `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
     """
@@ -274,7 +277,7 @@ def find_flow(
     warps: int = 2,
     penalty: Penalty = "quadratic",
 ) -> Flow:
-    """Compute the flow from a prepared first image to a current one; arguments as for `dense_flow`."""
+    """Compute the flow from a prepared first image to a current image; arguments as for `dense_flow`."""
     _check_image("current", current, template.inside)
     _check_choice("penalty", penalty, Penalty)
     if warps < 1:
@@ -295,7 +298,7 @@ def find_flow(
 
 
 def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covariance: Tensor) -> Flow:
-    """Return the result at pixels from the flow on cells.
+    """Interpolate flow, covariance and residual from cells to pixels.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
@@ -316,7 +319,7 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Return the flow on cells, px, estimated from the halved images; 0 if there are none."""
+    """Estimate the flow on cells, px, from the halved images, for a cold start; 0 if there are none."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
@@ -331,7 +334,10 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
 ) -> tuple[Tensor, Left[Tensor], Level]:
-    """Return the flow on cells after `warps` warps, the residual before the last one, and the finest level solved."""
+    """Compute the flow on cells by `warps` warps from a given flow.
+
+    Also return the residual before the last warp, and the finest multigrid level that was solved.
+    """
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
         left = _left(template, coefficients, flow)
@@ -348,10 +354,10 @@ def _refined(
 
 
 def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
-    """Return what a flow on cells leaves unexplained, in all channels (C B, 1, H, W) together.
+    """Compute the residual of a flow on cells: what displacement and illumination leave of the image difference.
 
-    Means over cells: of its products with the slopes, divided by the gain (B, 2, h, w), of its squares, and of where it
-    was seen (B, 1, h, w). Also the gain of the illumination (B, 1, 1, 1).
+    All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
+    gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
     """
     count = len(coefficients) // len(flow)
     known, inside = template.levels[0].inside, template.inside
@@ -370,7 +376,10 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """Compute `_left` for each channel, with products not divided by the gain."""
+    """Compute the residual of a flow for each channel separately.
+
+    As for `_left`, but the products with the slopes are not divided by the gain.
+    """
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
@@ -384,7 +393,7 @@ def _left_of_each(
 
 
 def _slopes(coefficients: Tensor) -> Tensor:
-    """Return the slopes (B, 2, H, W) of the spline at whole pixels."""
+    """Return the derivatives (B, 2, H, W) of the spline in x and y at whole pixels."""
     wide = functional.pad(coefficients, (1, 1, 1, 1), mode="replicate")
     smooth = (wide[..., :-2, :] + 4 * wide[..., 1:-1, :] + wide[..., 2:, :]) / 6
     change = (wide[..., 2:, :] - wide[..., :-2, :]) / 2
@@ -394,7 +403,7 @@ def _slopes(coefficients: Tensor) -> Tensor:
 
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
-    """Return the spline (B, 1, H, W) at the displaced pixels; beyond the border its coefficients are replicated."""
+    """Evaluate the spline (B, 1, H, W) at displaced pixels; beyond the border its coefficients are replicated."""
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
     (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
@@ -413,7 +422,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of the mask that arrive at least `margin` px inside the current image's border, else 0."""
+    """Return 1 for pixels of a mask whose displaced position lies at least `margin` px inside the frame, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
@@ -422,7 +431,10 @@ def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
 
 
 def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Fit gain and offset (B, 1, 1, 1) of the warped image to the first one, by least squares over seen pixels."""
+    """Fit illumination gain and offset (B, 1, 1, 1) of the warped image relative to the first, over seen pixels.
+
+    The fit is by least squares.
+    """
     count = seen.sum((1, 2, 3), keepdim=True).clamp_min(1)
     mean, mean_warped = ((seen * one).sum((1, 2, 3), keepdim=True) / count for one in (value, warped))
     apart = seen * (value - mean)

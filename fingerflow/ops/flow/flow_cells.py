@@ -1,4 +1,4 @@
-"""The cells of dense flow, 2 x 2 px each, and conversions between pixels and cells.
+"""Cells of dense flow, 2 x 2 px each, and conversions of fields between pixels and cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
@@ -24,7 +24,7 @@ _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """Planes u = height + x slope_x + y slope_y, two components (B, 2, ., .) each."""
+    """Planes u = height + x slope_x + y slope_y of the two components of a flow, (B, 2, ., .) each."""
 
     height: Tensor
     slope_x: Tensor
@@ -35,20 +35,24 @@ class Planes(NamedTuple):
 
 
 def halved(fields: Tensor) -> Tensor:
-    """Return means over 2 x 2, (B, C, ceil(h / 2), ceil(w / 2)); values beyond the border count as 0."""
+    """Return the means of fields over blocks of 2 x 2 cells, (B, C, ceil(h / 2), ceil(w / 2)).
+
+    Values beyond the border count as 0.
+    """
     height, width = fields.shape[-2:]
     return functional.avg_pool2d(functional.pad(fields, (0, width % 2, 0, height % 2)), 2)
 
 
 def magnified(fields: Tensor, times: int) -> Tensor:
-    """Interpolate bilinearly between cell centres, to `times` as many along each axis; the border is replicated."""
+    """Interpolate fields on cells bilinearly to `times` as many cells along each axis; the border is replicated."""
     return functional.interpolate(fields, scale_factor=times, mode="bilinear", align_corners=False)
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate bilinearly from known (1 or 0) cells (B, C, h, w) to cells of half the size, (B, C, height, width).
+    """Interpolate known cells bilinearly to cells of half the size: (B, C, h, w) to (B, C, height, width).
 
-    The four nearest have the weights 9/16, 3/16, 3/16 and 1/16. The result is 0 where none of them is known.
+    `known` is 1 or 0. The four nearest have the weights 9/16, 3/16, 3/16 and 1/16. The result is 0 where none of them
+    is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -56,15 +60,18 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Return means (B, 2, h, w) over cells of the pixels (B, 2, H, W) that are inside (B, 1, H, W), 1 or 0.
+    """Return the means over cells (B, 2, h, w) of the pixels (B, 2, H, W) of a mask.
 
-    Non-finite values count as 0; a cell without a pixel inside is 0.
+    The mask `inside` (B, 1, H, W) is 1 or 0. Non-finite values count as 0; a cell without a pixel inside is 0.
     """
     return _sums(inside * pixels.nan_to_num(0.0, 0.0, 0.0)) / _sums(inside).clamp_min(1)
 
 
 def _sums(fields: Tensor) -> Tensor:
-    """Return sums over 2 x 2 as `halved` means, by strides: on one core a third of the time of `avg_pool2d`."""
+    """Return the sums of fields over blocks of 2 x 2; beyond the border fields are 0.
+
+    Strided slices take a third of the time of `avg_pool2d` on one core.
+    """
     height, width = fields.shape[-2:]
     even = functional.pad(fields, (0, width % 2, 0, height % 2)) if height % 2 or width % 2 else fields
     rows = even[..., ::2, :] + even[..., 1::2, :]
@@ -72,7 +79,10 @@ def _sums(fields: Tensor) -> Tensor:
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Return a field (B, 2, height, width) from cells (B, 2, h, w), of which some are known (B, 1, h, w), 1 or 0."""
+    """Interpolate a flow from cells (B, 2, h, w) to pixels (B, 2, height, width).
+
+    `known` (B, 1, h, w) is 1 for known cells, else 0.
+    """
     if cells.dtype == torch.float32 and kernels.serve(cells, known):
         return kernels.flow_to_pixels(cells, known, height, width)
     plane = plane_of(cells, known)
@@ -81,12 +91,12 @@ def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def plane_of(cells: Tensor, known: Tensor) -> Planes:
-    """Return the plane (B, 2, 1, 1) that best fits a field (B, 2, h, w), with weights `known`."""
+    """Fit one plane (B, 2, 1, 1) to a whole field on cells (B, 2, h, w), with the weights `known`."""
     return planes(moments(known, known * cells, *places(cells)).sum((2, 3), keepdim=True))
 
 
 def places(cells: Tensor) -> tuple[Tensor, Tensor]:
-    """Return x (w) and y (h, 1) of cells (., ., h, w) relative to the centre of the field, in cells."""
+    """Return the coordinates x (w) and y (h, 1) of cells (., ., h, w), in cells from the centre of the field."""
     x, y = (
         torch.arange(count, dtype=cells.dtype, device=cells.device) - (count - 1) / 2
         for count in (cells.shape[-1], cells.shape[-2])
@@ -95,7 +105,7 @@ def places(cells: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Return x (width) and y (height, 1) of pixels, of half the size, relative to the centre of the cells, in cells."""
+    """Return the coordinates x (width) and y (height, 1) of the pixels of a field, in cells from its centre."""
     x, y = (
         (torch.arange(count, dtype=cells.dtype, device=cells.device) - 0.5) / CELL - (number - 1) / 2
         for count, number in ((width, cells.shape[-1]), (height, cells.shape[-2]))
@@ -104,13 +114,19 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the moments (B, 12, h, w) for a plane fit, from weights (B, 1, h, w) and a weighted field (B, 2, h, w)."""
+    """Return the moments (B, 12, h, w) from which planes are fitted to a field (B, 2, h, w).
+
+    Both the weights (B, 1, h, w) and the weighted field enter.
+    """
     along, down = share * x, share * y
     return torch.cat((share, along, down, along * x, along * y, down * y, field, field * x, field * y), dim=1)
 
 
 def planes(moments: Tensor) -> Planes:
-    """Fit planes by least squares; a plane is the mean where cells do not span it, and 0 where there are none."""
+    """Fit planes by least squares from their `moments`.
+
+    A plane is the mean where cells do not span it, and 0 where there are no cells.
+    """
     around, *sums = moments.split((1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1)
     some = torch.where(around > _TINY, around, 1.0)
     mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (one / some for one in sums)
@@ -124,7 +140,7 @@ def planes(moments: Tensor) -> Planes:
 
 
 def window(side: float) -> list[float]:
-    """Return the weights, along a line of cells, of two successive boxes with a side of so many cells, at least 1."""
+    """Return the weights of a window along a line of cells: two successive box means, each `side` >= 1 cells wide."""
     reach = math.ceil((side - 1) / 2 - 1e-9)
     ends = (side - (2 * reach - 1)) / 2
     once = [1.0] if reach == 0 else [ends / side, *[1 / side] * (2 * reach - 1), ends / side]
@@ -134,14 +150,17 @@ def window(side: float) -> list[float]:
 
 
 def window_variance(weights: list[float]) -> float:
-    """Return the variance, px^2, of a window along a line, including that of its cells."""
+    """Return the variance, px^2, of a window of weights along one axis, including the extent of its cells."""
     half = len(weights) // 2
     spread_out = sum(weight * (k - half) ** 2 for k, weight in enumerate(weights))
     return CELL**2 * spread_out + (CELL**2 - 1) / 12
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Return weighted means of (B, C, h, w) along rows and columns; values beyond the border count as 0."""
+    """Return weighted means of fields (B, C, h, w) over a window: the weights along rows, then along columns.
+
+    Values beyond the border count as 0.
+    """
     if fields.dtype == torch.float32 and kernels.serve(fields):
         return kernels.flow_integrate(fields, weights)
     half = len(weights) // 2
@@ -158,10 +177,10 @@ COURSE_WINDOW = window(9)  # cells of 4 px
 
 
 def course(flow: Tensor, known: Tensor) -> Tensor:
-    """Return the trend (B, 2, h, w) of a flow on cells, of which some are known (B, 1, h, w), 1 or 0.
+    """Return the trend (B, 2, h, w) of a flow on cells, the smooth part that the smoothness term does not penalise.
 
-    It is the best-fitting plane, plus planes fitted to the remainder around every position, in two successive boxes of
-    36 px.
+    `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
+    to the remainder around every position, in two successive boxes of 36 px.
     """
     whole = plane_of(flow, known).at(*places(flow))
     share = halved(known)

@@ -1,4 +1,4 @@
-"""Constancy assumption of dense flow: grey levels, or their gradient, are the same in both images.
+"""Constancy assumption of dense flow: the grey levels, or their gradients, are equal in both images.
 
 Illumination changes that vary in space (contact that grows under the skin, shadows, gloss) alter grey levels, but
 hardly their gradient (Brox, Bruhn, Papenberg, Weickert, ECCV 2004, section 2). Both derivatives then replace the image
@@ -24,10 +24,10 @@ NOISE_OF_TENSOR = {"brightness": 1.0, "gradient": 5.9}
 
 
 def channels(coefficients: Tensor, constancy: Constancy) -> Tensor:
-    """Return spline coefficients (C B, 1, H, W), channel after channel, of the quantities that are constant.
+    """Return the spline coefficients (C B, 1, H, W) of the C quantities that are assumed constant, channel by channel.
 
-    For the gradient they are central differences of the coefficients of the images (B, 1, H, W), which are the
-    coefficients of the differences of their splines.
+    These are the grey level, or the two components of its gradient. For the gradient they are central differences of
+    the coefficients of the images (B, 1, H, W), which are the coefficients of the differences of their splines.
     """
     if constancy == "brightness":
         return coefficients

@@ -1,4 +1,4 @@
-"""Multigrid for the linear system of dense flow, (J + alpha L) d = r: two unknowns per cell, coupled by 2 x 2 tensors.
+"""Multigrid solver of dense flow, (J + alpha L) d = r: two unknowns per cell, coupled by 2 x 2 tensors J.
 
 L is the graph Laplacian of the cells of a mask, which makes the border condition natural: no flux across it. Coarser
 levels represent 2 x 2 cells each: J and r are means over them. An edge between two coarse cells has a fourth of the
@@ -34,7 +34,7 @@ SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
 
 
 class Level(NamedTuple):
-    """Operator of one multigrid level on cells (B, ., h, w)."""
+    """Operator J + alpha L of one multigrid level, on cells (B, ., h, w)."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
     right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
@@ -44,7 +44,7 @@ class Level(NamedTuple):
 
 
 def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
-    """Build all levels, the finest first.
+    """Build all multigrid levels from the operator of the finest; the finest comes first.
 
     Args:
         tensor: (B, 3, H, W) J, 0 outside the mask.
@@ -76,15 +76,15 @@ def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor)
 
 
 def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Return 1 where two neighbours are both in the mask, else 0.
+    """Return the edges between neighbouring pixels: 1 where both lie in the mask, else 0.
 
-    Neighbours in a row are (B, 1, H, W - 1), those in a column (B, 1, H - 1, W).
+    Edges along rows are (B, 1, H, W - 1), along columns (B, 1, H - 1, W).
     """
     return mask[..., 1:] * mask[..., :-1], mask[..., 1:, :] * mask[..., :-1, :]
 
 
 def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
-    """Return edge weights between 2 x 2 cells: a fourth of the mean of the two fine edges across their common side."""
+    """Return edge weights between blocks of 2 x 2 cells: a fourth of the mean of the two edges across a common side."""
     right, down = (
         functional.pad(right[..., 1::2], (0, 0, 0, right.shape[-2] % 2)),
         functional.pad(down[..., 1::2, :], (0, down.shape[-1] % 2)),
@@ -93,13 +93,13 @@ def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def degrees(right: Tensor, down: Tensor) -> Tensor:
-    """Return sums (B, 1, h, w) of the weights of the edges that meet in a cell."""
+    """Return the degree (B, 1, h, w) of each cell: the sum of the weights of its edges."""
     pad = functional.pad
     return pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """Return the flow (B, 2, h, w) after the given number of cycles.
+    """Return the flow (B, 2, h, w) after the given number of multigrid cycles.
 
     Args:
         levels: of the multigrid; the finest is that of the flow.
@@ -122,7 +122,7 @@ def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cy
 
 
 def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    """Return an approximate solution (B, 2, H, W) of (J + alpha L) d = r, by one V-cycle from 0."""
+    """Solve (J + alpha L) d = r approximately by one V-cycle from d = 0; return d (B, 2, H, W)."""
     level, coarser = levels[0], levels[1:]
     solution = DAMPING * times(level.inverse, right_side)
     if not coarser:
@@ -134,12 +134,12 @@ def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
 
 
 def applied(level: Level, field: Tensor) -> Tensor:
-    """Apply J + alpha L to a field (B, 2, h, w)."""
+    """Apply the operator J + alpha L of a level to a field (B, 2, h, w)."""
     return times(level.tensor, field) + laplacian(level, field)
 
 
 def laplacian(level: Level, field: Tensor) -> Tensor:
-    """Apply alpha L to a field (B, C, h, w)."""
+    """Apply the weighted graph Laplacian alpha L of a level to a field (B, C, h, w)."""
     across = level.right * (field[..., 1:] - field[..., :-1])
     along = level.down * (field[..., 1:, :] - field[..., :-1, :])
     pad = functional.pad
@@ -162,6 +162,6 @@ def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) ->
 
 
 def times(tensor: Tensor, field: Tensor) -> Tensor:
-    """Return products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w) with vectors."""
+    """Return products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w), xx, xy, yy, with vectors (B, 2, h, w)."""
     u, v = field[:, :1], field[:, 1:]
     return torch.cat((tensor[:, :1] * u + tensor[:, 1:2] * v, tensor[:, 1:2] * u + tensor[:, 2:] * v), dim=1)

@@ -36,7 +36,7 @@ _TINY = 1e-12
 
 
 def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
-    """Return the weights (B, 1, h, w) of cells from their residual `left`.
+    """Return the weights (B, 1, h, w) of cells in the data term, from the residual of the latest flow.
 
     `by_noise` (B,) is the mean square that noise leaves.
     """
@@ -46,7 +46,7 @@ def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
 
 
 def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, roughness: float) -> list[Level]:
-    """Build the multigrid of dense flow with the weights of a flow (B, 2, h, w) on cells.
+    """Build the multigrid of dense flow with the smoothness weights that belong to a flow (B, 2, h, w) on cells.
 
     Args:
         finest: level of the quadratic system.
@@ -61,7 +61,10 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, 
 
 
 def edge_weights(departure: Tensor, roughness: float) -> tuple[Tensor, Tensor]:
-    """Return weights of the edges to the next cell of the row (B, 1, h, w - 1), and of the column (B, 1, h - 1, w)."""
+    """Return the smoothness weights of the edges along rows (B, 1, h, w - 1) and along columns (B, 1, h - 1, w).
+
+    `departure` (B, 2, h, w) is the flow minus its trend.
+    """
     scale = (CELL * _EDGE_SCALE * roughness) ** 2
 
     def weights(difference: Tensor) -> Tensor:
@@ -71,6 +74,6 @@ def edge_weights(departure: Tensor, roughness: float) -> tuple[Tensor, Tensor]:
 
 
 def mean_edge_weight(finest: Level, quadratic: Level) -> Tensor:
-    """Return the mean weight (B, 1, h, w) of the edges that meet in a cell; 1 where none does."""
+    """Return the mean smoothness weight (B, 1, h, w) of the edges of each cell; 1 for a cell without edges."""
     whole = degrees(quadratic.right, quadratic.down)
     return torch.where(whole > 0, degrees(finest.right, finest.down) / torch.where(whole > 0, whole, 1.0), 1.0)

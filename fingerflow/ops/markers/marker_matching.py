@@ -39,7 +39,7 @@ class Ties(NamedTuple):
 
 
 def tie_neighbours(reference: Tensor) -> Ties:
-    """Return the ties of markers (N, 2) at rest, N at least 2, all finite.
+    """Return the ties between neighbouring markers, from their positions (N, 2) at rest, N at least 2, all finite.
 
     The spacing is the median distance to the nearest neighbour.
     """
@@ -56,7 +56,7 @@ def tie_neighbours(reference: Tensor) -> Ties:
 
 
 def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor) -> Tensor:
-    """Return, for each marker at rest, the index (N,) of its detection, -1 where it is not seen.
+    """Return, for each marker at rest, the index (N,) of its detection in a frame; -1 if it is not detected.
 
     No detection is assigned twice. The assignment minimises the cost of a Markov random field by min-sum belief
     propagation (Felzenszwalb & Huttenlocher 2006). A tie costs the squared difference of the neighbours' displacements

@@ -39,12 +39,12 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Radius of the disc with this scale, px."""
+        """Radius of a marker, px: that of the disc with the strongest response at this scale."""
         return math.sqrt(2) * self.scale
 
 
 class Markers(NamedTuple):
-    """Markers of B images, strongest first; NaN after the last.
+    """Detected markers of B images, strongest first, padded with NaN.
 
     Attributes:
         points: (B, N, 2) px, N the largest number of markers in one of the images.
@@ -138,7 +138,10 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Return the highest response at a coarser scale within one scale of x, y (B, N), refined to (B, N, 2) px."""
+    """Locate markers at a coarser scale: return the position (B, N, 2) px of the highest response near x, y (B, N).
+
+    Positions within one scale are considered.
+    """
     reach = math.ceil(look.scale)
     response = look.polarity * _response(image, _COARSER * look.scale, margin=1)[:, 0]
     height, width = image.shape[-2:]
@@ -156,9 +159,9 @@ def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
 
 
 def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """Compute scale^2 times the Laplacian of the blurred image over the local brightness: positive for dark blobs.
+    """Compute the blob response: scale^2 times the Laplacian of the blurred image over its brightness.
 
-    The result is larger than the image by `margin` pixels on each side.
+    It is positive for dark blobs. The result is larger than the image by `margin` pixels on each side.
     """
     # The Laplacian needs one more pixel: padding after the blur would leave a kink that is detected as a blob.
     blurred = blur(image, scale, margin + 1)
@@ -191,10 +194,10 @@ def _gaussian(size: int, scale: float, margin: int, like: Tensor) -> Tensor:
 
 
 def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the step (..., 2) from the centre of 3 x 3 values (9, ...) to the extremum of their quadratic, at most 0.6
-    px in x and y, and the inverse (..., 2, 2) of its second derivatives.
+    """Locate the extremum of a quadratic through 3 x 3 values (9, ...): return the step (..., 2) from the centre value.
 
-    Where the quadratic has no extremum, the step is 0 and the inverse NaN.
+    The step is at most 0.6 px in x and y. Also return the inverse (..., 2, 2) of the second derivatives. Where the
+    quadratic has no extremum, the step is 0 and the inverse NaN.
     """
     a, b, c, d, e, f, g, h, i = near
     slope = torch.stack((f - d, h - b), dim=-1) / 2
@@ -213,7 +216,10 @@ def _noise(frames: Tensor) -> Tensor:
 
 
 def _between(strength: Tensor) -> float:
-    """Return Otsu's threshold of values: it maximises the variance between the classes; -inf below two values."""
+    """Return Otsu's threshold of single values: it maximises the variance between two classes.
+
+    It is -inf below two values.
+    """
     ordered = strength.double().sort().values
     count = len(ordered)
     if count < 2:

@@ -1,4 +1,4 @@
-"""Detection of corners for tracking: gradients in two directions (Shi & Tomasi 1994), a minimum distance apart."""
+"""Corners for tracking: pixels with gradients in two directions (Shi & Tomasi 1994), a minimum distance apart."""
 
 import math
 from typing import NamedTuple
@@ -115,7 +115,9 @@ def detect_corners(
 
 
 def corner_response(frame: Tensor, window: int = 7) -> Tensor:
-    """Return the smaller eigenvalue of the structure tensor: the least mean squared gradient along any direction.
+    """Return the smaller eigenvalue of the structure tensor at each pixel.
+
+    It is the least mean squared gradient along any direction.
 
     Args:
         frame: (B, 1, H, W), integers or floating.
@@ -164,7 +166,7 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
 
 
 def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return Sobel's derivatives in x and y, in eighths of a grey level per pixel: [-1 0 1] along, [1 2 1] across."""
+    """Return Sobel's derivatives of images in x and y, in eighths of a grey level per pixel."""
     if values.numel() == 0:
         return values, values
     padded = functional.pad(values, (1, 1, 1, 1), mode="replicate")
@@ -174,7 +176,7 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return a response that no window of pure white noise of variance 1 reaches.
+    """Return a corner response that no window of pure white noise of variance 1 reaches.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
@@ -247,11 +249,12 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Return which candidates, sorted by strength, the greedy selection keeps; the parallel form gives the same result.
+    """Select corners greedily by strength: mark the candidates not too near a stronger one that is kept.
 
-    The frame is divided into cells so small that two candidates of one cell are always too near. A candidate that comes
-    first among all undecided ones of the surrounding cells is certain to be kept. It then removes the candidates near
-    it. Both steps repeat until all candidates are decided.
+    Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
+    is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first
+    among all undecided ones of the surrounding cells is certain to be kept. It then removes the candidates near it.
+    Both steps repeat until all candidates are decided.
     """
     if distance <= 1:  # distinct pixels are never nearer than 1 px
         return torch.ones_like(x, dtype=torch.bool)

@@ -1,4 +1,4 @@
-"""Correction of tracked points for the deformation E = F F_0^-1 - I of the skin since their templates were prepared.
+"""Correction of tracked points for the skin's deformation E = F F_0^-1 - I since their templates were prepared.
 
 F = I + du/dX is estimated by local fits in the key frame; a template was prepared with F_0. To first order E displaces
 the tracked point by D E, where D depends on the template (`Number.LEAN`). Displacement that varies within a window
@@ -34,7 +34,7 @@ def correct_points(
     gauge_px: float,
     support: Support | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Return points of K frames, corrected for the measured deformation of the skin.
+    """Correct tracked points of K frames for the measured deformation of the skin.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.
@@ -80,7 +80,7 @@ def correct_points(
 
 
 def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Return covariances (K, N, 2, 2) without the part of the residual due to E (K, 4, N).
+    """Return position covariances (K, N, 2, 2) without the residual that the deformation E (K, 4, N) causes.
 
     `of` (K, 32, N) are the template statistics.
     """
@@ -96,5 +96,5 @@ def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) 
 
 
 def _or_zero(values: Tensor) -> Tensor:
-    """Return the values with 0 in place of those that are not finite."""
+    """Return values with 0 in place of NaN and infinities."""
     return torch.where(finite(values), values, 0.0)

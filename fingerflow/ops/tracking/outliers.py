@@ -1,4 +1,4 @@
-"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than they."""
+"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than these."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Flags of points, (B, N) bool each.
+    """Outlier flags of tracked points, (B, N) bool each.
 
     Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 
@@ -41,7 +41,7 @@ class Outliers(NamedTuple):
 
 
 def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """Return the neighbours by which each point is judged, once for all frames of the same points.
+    """Return the nearest neighbours with which each point is compared, once for all frames of the same points.
 
     Args:
         positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
@@ -125,7 +125,10 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
 
 
 def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-    """Gather values (B, 1, N) of the neighbours, (B, k, N) each, by indices (1 or B, k, N)."""
+    """Gather point values (B, 1, N) at the k neighbours of each point, (B, k, N) each.
+
+    The indices are (1 or B, k, N).
+    """
     batch, _, points = values[0].shape
     if index.shape[0] != 1:
         return tuple(one[:, 0].gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
@@ -142,14 +145,14 @@ def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
 
 
 def _total(values: Tensor) -> Tensor:
-    """Return the sums (B, 1, N) of values (B, k, N) over the k neighbours."""
+    """Return the sums (B, 1, N) of values (B, k, N) over the k neighbours of each point."""
     return values.sum(1, keepdim=True)
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """Return z^2 (B, k, N) of differences, and the harmonic mean (B, 1, N) of 1 + z^2 over the neighbours.
+    """Return the misfits z^2 (B, k, N) between points and neighbours, and the harmonic mean (B, 1, N) of 1 + z^2.
 
-    The mean is 1 where there are no neighbours.
+    The mean is over the neighbours, and 1 where there are none.
     """
     distance = (u * u + v * v) * precision
     agreeing = _total(weight / (1 + distance))
@@ -157,9 +160,9 @@ def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: 
 
 
 def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
-    """Return slopes (B, 1, N) du/dx, du/dy, dv/dx, dv/dy of planes fitted by weighted least squares.
+    """Fit planes to displacement differences by weighted least squares; return the slopes du/dx, du/dy, dv/dx, dv/dy.
 
-    The data are differences u and v (B, k, N) at offsets x and y, with weights (B, k, N).
+    Each slope is (B, 1, N). The data are differences u and v (B, k, N) at offsets x and y, with weights (B, k, N).
     """
     by_x, by_y = weight * x, weight * y
     total, sum_x, sum_y = (_total(part) for part in (weight, by_x, by_y))
@@ -181,6 +184,6 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the residuals of differences u, v (B, k, N) from planes with slopes (B, 1, N)."""
+    """Return the residuals of displacement differences u, v (B, k, N) from planes with given slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

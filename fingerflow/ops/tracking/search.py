@@ -1,4 +1,4 @@
-"""Exhaustive search for windows that moved farther than Lucas-Kanade registration can follow."""
+"""Exhaustive search for windows that moved too far for Lucas-Kanade registration."""
 
 import torch
 from torch import Tensor
@@ -69,10 +69,11 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """Return the positions (P, 2) of `search_windows`, and whether (P,) a search back from them returns to the start.
+    """Search for windows as `search_windows` and search back from each match.
 
-    The search back is independent of the displacement found. It must end within `forward_backward_limit`, plus the
-    pixel to which a search is accurate.
+    Return the positions (P, 2), and whether (P,) the backward search returns to the start. The search back is
+    independent of the displacement found. It must end within `forward_backward_limit`, plus the pixel to which a search
+    is accurate.
 
     Args:
         key, current: (B, 1, H, W).
@@ -126,7 +127,10 @@ def _search_coarse(
 
 
 def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
-    """Return sums (P, span, span) of templates (P, n, n) times patches (P, m, m) at every shift; m = n + span - 1."""
+    """Return the correlations (P, span, span) of templates (P, n, n) with patches (P, m, m) at every shift.
+
+    Here m = n + span - 1.
+    """
     size = template.shape[-1]
     if torch.compiler.is_exporting():  # transforms of small patches take ONNX runtimes six times as long
         columns = [patch[:, :, shift : shift + size] for shift in range(span)]
@@ -141,7 +145,7 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
-    """Return the index (P,) of the highest of scores (P, span span).
+    """Return the flat index (P,) of the highest score in square score maps (P, span span).
 
     Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
     """
@@ -153,9 +157,10 @@ def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
 
 
 def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
-    """Return the maximum of the parabola through three neighbouring scores, within -1/2 .. 1/2 of the middle one.
+    """Return the sub-pixel offset of the maximum of a parabola through three neighbouring scores.
 
-    It is 0 where the scores are equal to within `SEARCH_TIE`.
+    The offset from the middle score lies within -1/2 .. 1/2, and is 0 where the scores are equal to within
+    `SEARCH_TIE`.
     """
     curvature = before - 2 * peak + after
     return (

@@ -1,4 +1,4 @@
-"""Windows around points as batched matrix products: patches of pixels and their spline at a fractional shift.
+"""Sampling of windows around points by batched matrix products, from pixel patches and the spline's weights.
 
 A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, with the patch of pixels p. B is a band matrix of the
 weights of s: those of the cubic B-spline, convolved with the smoothing that yields its coefficients
@@ -47,19 +47,19 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 
 def taps(shift: Tensor) -> Tensor:
-    """Return b3(shift - k) at the five whole positions k = -2 .. 2, (..., 5) for shifts (...)."""
+    """Return the five cubic B-spline weights b3(shift - k), k = -2 .. 2, (..., 5), for shifts (...) in (-1, 1)."""
     return _values(*_distances(_from_places(shift)))
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weights of `taps` and their derivatives, (..., 5) each."""
+    """Return the five cubic B-spline weights of `taps` and their derivatives, (..., 5) each."""
     beside = _from_places(shift)
     u, v = _distances(beside)
     return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()
 
 
 def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
-    """Return the spline on windows, (P, size size), at shifts (P, 2) px from the middles of patches (P, side, side)."""
+    """Sample the spline on windows (P, size size), at shifts (P, 2) px from the middles of patches (P, side, side)."""
     weights = taps(shift)
     if looks(patches, shift) and len(patches):
         # A grouped convolution takes torch half the time of matrix products, and ONNX Runtime five times as long.
@@ -72,7 +72,7 @@ def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
 
 
 def along_y(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., size, side) from a pixel column to the spline on a window.
+    """Return matrices (..., size, side) that map a pixel column of a patch to the spline on a window.
 
     `weights` (..., 5) are the taps of the y shift.
     """
@@ -85,18 +85,21 @@ def along_y(weights: Tensor, size: int) -> Tensor:
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., side, size) from a pixel row to the spline on a window, for taps of the x shift."""
+    """Return matrices (..., side, size) that map a pixel row of a patch to the spline on a window.
+
+    `weights` (..., 5) are the taps of the x shift.
+    """
     return along_y(weights, size).transpose(-1, -2)
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
-    """Return pixel weights (..., side, side) equivalent to weights (..., size, size) of the spline at whole pixels."""
+    """Convert weights (..., size, size) of spline samples at whole pixels to pixel weights (..., side, side)."""
     middle = along_y(taps(weights.new_zeros(())), size)
     return middle.T @ weights @ middle
 
 
 def _smoothed(like: Tensor) -> Tensor:
-    """Return the matrix (5, 7) from weights of the spline's coefficients to weights of pixels."""
+    """Return the matrix (5, 7) that converts weights of spline coefficients to weights of pixels."""
     place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
     middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
     return middle / 2 + beside / 4

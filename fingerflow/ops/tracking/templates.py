@@ -1,4 +1,4 @@
-"""Templates of points, prepared once in a key frame and found in many frames by Lucas-Kanade steps.
+"""Templates of points, prepared once in a key frame and registered in later frames by Lucas-Kanade steps.
 
 A template is the spline of the key frame on the window of a point, deformed as the skin has been since. With the
 deformation gradient F, its sample at the offset w in a frame is S_key(p + F^-1 w). The point lies at the y that solves
@@ -44,7 +44,7 @@ _TINY = 1e-20
 
 
 class Templates(NamedTuple):
-    """Templates of B x N points in windows of n x n px: what tracking needs to know of the key frame.
+    """Templates of B x N points in windows of n x n px: the data of the key frame that tracking needs.
 
     Attributes:
         start: (B, N, 2) px in the key frame, NaN where there is no point.
@@ -58,7 +58,7 @@ class Templates(NamedTuple):
 
     @property
     def window(self) -> int:
-        """Return the side n of the window, px."""
+        """Return the side n of the template windows, px."""
         result: int = round(self.samples.shape[-1] ** 0.5)
         return result
 
@@ -68,7 +68,7 @@ class Templates(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Points found in a frame.
+    """Points registered in a frame, with error, covariance and status.
 
     Attributes:
         points: (B, N, 2) px; NaN where the status is not TRACKED.
@@ -100,7 +100,7 @@ def prepare_templates(
     gain_offset: bool = True,
     noise: Tensor | None = None,
 ) -> Templates:
-    """Compute templates of points of a key frame.
+    """Compute the templates of points in a key frame.
 
     Args:
         image: (B, 1, H, W), 8 to 16 bit or floating.
@@ -134,7 +134,7 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Compute templates from the spline coefficients and the noise of a key frame of integer grey levels.
+    """Compute templates from a key frame's spline coefficients and noise level; its grey levels are integers.
 
     This is the exported form of `prepare_templates`.
 
@@ -150,7 +150,7 @@ def renew_templates(
 
 
 def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Compute templates from the spline, sampled at given (B, N, 2) + F^-1 w; `inverse` is F^-1."""
+    """Compute templates by sampling the key frame's spline at points `given` (B, N, 2) + F^-1 w; `inverse` is F^-1."""
     known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
     inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
     place = torch.where(known, given, 0.0)
@@ -170,7 +170,10 @@ def _from_samples(
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Compute templates at positions (B, N, 2), known or not, from values (P, n, n) and slopes (P, 2, n, n)."""
+    """Compute templates from sampled values (P, n, n) and slopes (P, 2, n, n) at positions (B, N, 2).
+
+    `known` is False for positions that are placeholders.
+    """
     own, slope = sampled[0].flatten(1), sampled[1].flatten(2)
     batched, window = place.shape[:2], sampled[0].shape[-1]
     level = own.mean(1, keepdim=True)
@@ -197,7 +200,7 @@ def find_templates(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Found:
-    """Find templates in a frame, each near its prediction.
+    """Register templates in a frame, each near its predicted position.
 
     The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2). H = sum g g', w are the weights of the pixels
     in sum g S, and a is the gain. The noise of both images is estimated together from the residual; for equal
@@ -232,7 +235,7 @@ def find_templates(
 def in_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
 ) -> Found:
-    """Find points (B, N, 2) near their predictions in at most `rounds` steps.
+    """Repeat a registration step until all points (B, N, 2) have converged, at most `rounds` times.
 
     Points that have not converged take another step from the end of the previous one. More than one step depends on
     data and cannot be exported.
@@ -249,7 +252,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return indices (B, L) of points with the `wanted` (B, N) bool first.
+    """Return the indices (B, L) of the points that are `wanted` (B, N) bool, filled up with others to one number L.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
@@ -267,7 +270,7 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Return `found` (B, N), replaced by the results `again` of the `chosen` (B, L) where `wanted` (B, N)."""
+    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), where `wanted` (B, N) is True."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -278,7 +281,7 @@ def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Foun
 
 
 def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
-    """Raise ValueError if tracking cannot work with the image, the points, the window or the deformation."""
+    """Raise ValueError if the image, the points, the window or the deformation cannot be used for tracking."""
     if image.ndim != 4 or image.shape[1] != 1:
         raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
     if min(image.shape[-2:]) < 4:
@@ -294,7 +297,7 @@ def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
-    """Return whether (...) the windows of points (..., 2) lie in the image, to within `SLACK`."""
+    """Return whether the windows of points (..., 2) lie in the image, to within `SLACK`, (...) bool."""
     height, width = image.shape[-2:]
     half = window // 2
     least = half - limits.SLACK
@@ -310,7 +313,7 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """Return the spline (P, wide, wide) and its slopes (P, 2, wide, wide) around positions (B, N, 2) px."""
+    """Sample the spline (P, wide, wide) and its slopes (P, 2, wide, wide) on undeformed windows at (B, N, 2) px."""
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)
@@ -324,9 +327,9 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Return slopes (P, 2, samples) without their components along a constant and along the values (P, samples).
+    """Remove from slopes (P, 2, samples) the changes that gain and offset of the illumination would cause.
 
-    The values sum to 0.
+    These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """
     centred = slope - slope.mean(2, keepdim=True)
     share = (centred @ value[..., None]) / (value * value).sum(1).clamp_min(_TINY)[:, None, None]
@@ -381,7 +384,7 @@ def _numbers(
 
 
 def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
-    """Return xx, xy, yy (P, 3) of the covariance of a position, px^2, for white pixel noise of variance 1.
+    """Return the position covariance (P, 3), xx, xy, yy, px^2, that white pixel noise of variance 1 causes.
 
     It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples):
     the Cramér-Rao bound H^-1 but for the smoothing by the spline.
@@ -472,9 +475,10 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return sums (B, 3, N) over windows M (P, samples) with the residual D = M - a T - b.
+    """Return three sums (B, 3, N) over the residual of each registered window.
 
-    These are the sum of D^2, and of D grad D in x and in y: half the differences of D^2 between opposite edges.
+    The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D grad D in x and in y: half
+    the differences of D^2 between opposite edges.
     """
     own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
@@ -486,7 +490,10 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """Return the sums (B, 3, N) of samples (B, N, 3, m) times windows (B N, ...) of m samples."""
+    """Return the scalar products (B, 3, N) of the three sample rows of each template with its window.
+
+    Samples are (B, N, 3, m), windows (B N, ...) of m samples.
+    """
     batch, count = samples.shape[:2]
     rows = windows.reshape(-1, 1, samples.shape[3])
     return components_first((rows @ samples.flatten(0, 1).mT).reshape(batch, count, 3))

@@ -1,4 +1,4 @@
-"""Tracking of points between two images by Lucas-Kanade: templates are prepared in one and found in the other."""
+"""Tracking of points between two images by Lucas-Kanade: templates of one image are registered in the other."""
 
 from collections.abc import Callable
 from functools import partial
@@ -33,7 +33,7 @@ _GAUGE = 5.0
 
 
 class Tracks(NamedTuple):
-    """Tracked points.
+    """Points tracked from one image to another.
 
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
@@ -65,7 +65,7 @@ def track_points(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Tracks:
-    """Find the points of `previous` in `current`, with a forward-backward check.
+    """Track points from `previous` to `current`, with a forward-backward check.
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
@@ -112,7 +112,7 @@ def track_points(
 
 
 class Passed(NamedTuple):
-    """Points found in all passes: `Found` without `estimate`, and with the deformation of the templates.
+    """Results of all passes of `in_passes`: those of `Found` without `estimate`, and the deformation of the templates.
 
     `warp` is (B, N, 2, 2), or None where templates are not deformed.
     """
@@ -160,7 +160,7 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> Passed:
-    """Find the points of `track_points`, with its arguments, without derivatives.
+    """Track points in one or two passes, without derivatives; arguments as for `track_points`.
 
     One operator for the compiler, since the number of passes and searches depends on data.
     """
@@ -209,7 +209,7 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """Find points (B, N, 2) of `previous` in `current` near the positions `near`; also return `Templates.numbers`."""
+    """Register points (B, N, 2) of `previous` in `current`, near positions `near`; also return template statistics."""
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
@@ -241,7 +241,7 @@ def _search_lost(
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
-    """Return `found` after an exhaustive search for the lost points within `radius` px of `guess` (B, N, 2).
+    """Search exhaustively for lost points within `radius` px of `guess` (B, N, 2); return `found` with them updated.
 
     A search back from the match is independent of the displacement found. If it misses the start by more than the limit
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.
@@ -297,17 +297,17 @@ def _check(
 
 
 def _real(image: Tensor) -> Tensor:
-    """Return the image, as float32 unless it is float64 or of a dtype that the kernels support."""
+    """Convert an image to float32, unless it is float64 or of a dtype that the kernels support."""
     return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
 
 
 def _with_derivative(
     images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
 ) -> Tensor:
-    """Return `found` with its derivative: a Newton step from the root, which leaves the values unchanged.
+    """Attach to the positions `found` their derivative with respect to images and points; values stay unchanged.
 
-    At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0, hence dy = -(db/dy)^-1 db; the Jacobian itself needs no
-    derivative.
+    The derivative is that of a Newton step from the root. At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0,
+    hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.
     """
     batch, count = points.shape[:2]
     image_index = torch.arange(batch, device=points.device).repeat_interleave(count)

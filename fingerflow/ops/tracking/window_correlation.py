@@ -1,4 +1,4 @@
-"""Grey levels in the deformed windows around points, by which the windows of two images are compared.
+"""Sampling of grey levels in deformed windows around points, for the comparison of windows of two images.
 
 Samples are Keys' cubic convolution (1981) of the recorded pixels, not a spline. The comparison (`tracker.window_match`)
 thus shares no arithmetic with the registration that found the points.
@@ -17,7 +17,7 @@ _SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation 
 
 
 def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
-    """Return the grey levels in deformed windows.
+    """Sample the grey levels in deformed windows by cubic convolution.
 
     Args:
         images: (n, 1, H, W).
@@ -68,7 +68,7 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """Return the first of the four pixels (N, m) along an axis from which samples are interpolated, and their weights.
+    """Return, along one axis, the first of the four pixels (N, m) that interpolate each sample, and their weights.
 
     `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """
@@ -82,17 +82,17 @@ def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, 
 
 
 def _near(distance: Tensor) -> Tensor:
-    """Return the weight of a pixel at most 1 px away (Keys 1981, eq. 15 with a free parameter)."""
+    """Return the interpolation weight of a pixel at most 1 px away (Keys 1981, eq. 15 with a free parameter)."""
     return ((_SHARPNESS + 2) * distance - (_SHARPNESS + 3)) * distance * distance + 1
 
 
 def _far(distance: Tensor) -> Tensor:
-    """Return the weight of a pixel 1 to 2 px away."""
+    """Return the interpolation weight of a pixel 1 to 2 px away (Keys 1981)."""
     return _SHARPNESS * (((distance - 5) * distance + 8) * distance - 4)
 
 
 def _steps(window: int, step: int, like: Tensor) -> Tensor:
-    """Return the grid (m, 2) px of a window relative to its centre, of the dtype and device of `like`."""
+    """Return the sampling grid (m, 2) px of a window relative to its centre, in the dtype and device of `like`."""
     reach = window // 2
     offsets = torch.arange(-reach, reach + 1, step, dtype=like.dtype, device=like.device)
     y, x = torch.meshgrid(offsets, offsets, indexing="ij")

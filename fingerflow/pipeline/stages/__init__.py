@@ -1,4 +1,4 @@
-"""Stages of the pipeline: `all_stages` finds every `Stage` defined in a file of these folders."""
+"""Stages of the pipeline, each a step of the processing; `all_stages` finds all that these folders define."""
 
 from functools import cache
 from importlib import import_module
@@ -9,7 +9,7 @@ from fingerflow.pipeline.stages.stage import Stage
 
 @cache
 def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
-    """Return the stages, each after the stages that it depends on.
+    """Return all stages, ordered so that each comes after those it depends on.
 
     `instead` names the alternative implementations that replace their base stages.
     """

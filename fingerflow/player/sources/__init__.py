@@ -1,4 +1,4 @@
-"""Sources of frames. Each module of this folder with the attributes of `Reader` is found automatically."""
+"""Sources of frames of a stream; the modules of this folder with the attributes of `Reader` are found automatically."""
 
 from __future__ import annotations
 
@@ -13,32 +13,36 @@ from fingerflow.player.sources.video_source import open_video
 
 
 class Reader(Protocol):
-    """Interface of a module that reads one kind of file or folder."""
+    """Interface of a module that reads one kind of frame file or folder."""
 
     READS: str  # the kind, in a word or two
 
     def reads(self, asked: Asked) -> bool:
-        """Return whether the file is of its kind, by name or settings, without reading it."""
+        """Return whether this module reads the requested file, judged by name and settings, without reading it."""
 
     def open_frames(self, asked: Asked) -> Source:
-        """Return the frames; raise FingerflowError, or any other error with what is wrong in the file."""
+        """Open the requested file as a source of frames; raise an error that says what is wrong with it.
+
+        Errors of other types than FingerflowError may occur.
+        """
 
 
 def readers() -> list[Reader]:
-    """Return the readers in the order of their names; `video` (OpenCV) reads the files that none of them accepts."""
+    """Return the reader modules in the order of their names; `open_video` takes files that none of them accepts."""
     modules = (import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__))
     return [cast(Reader, module) for module in modules if hasattr(module, "reads")]
 
 
 def kinds() -> str:
-    """Return the kinds of sources in words."""
+    """Return a text that lists the kinds of sources, for messages."""
     return f"{', '.join(one.READS for one in readers())} or a video file"
 
 
 def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
-    """Return the frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are for raw files.
+    """Open a file or folder as a source of frames, from number ``first`` on.
 
-    Raises FingerflowError where there are no frames, or none that can be read.
+    ``shape`` and ``dtype`` are for raw files. Raises FingerflowError where there are no frames, or none that can be
+    read.
     """
     asked, known = Asked(path, first, shape, dtype), readers()
     reader = next((one for one in known if one.reads(asked)), None)

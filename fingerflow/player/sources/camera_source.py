@@ -1,4 +1,4 @@
-"""Camera source: any callable that returns frames."""
+"""Source of frames from a camera, given as any callable that returns frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from fingerflow.player.sources.source import Source
 
 
 class CameraSource:
-    """Camera: a callable that returns the next frame, or (ok, frame) as in OpenCV; its `close` is called if it has one.
+    """Source that grabs frames from a camera by a callable.
+
+    It returns the next frame, or (ok, frame) as in OpenCV; its `close` is called if it has one.
 
     Args:
         grab: the callable.
@@ -56,7 +58,7 @@ class CameraSource:
 
 
 def open_camera(name: str) -> Source:
-    """Return the camera that ``module:factory`` makes: the factory returns a callable, see `CameraSource`.
+    """Open the camera that ``module:factory`` creates; the factory returns a callable, see `CameraSource`.
 
     Raises PlayerError where the factory cannot be imported or does not return a callable.
     """

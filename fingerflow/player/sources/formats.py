@@ -1,4 +1,4 @@
-"""Source for recordings in the formats of `fingerflow.recordings` that need only NumPy or tifffile."""
+"""Source of frames from recordings in the formats of `fingerflow.recordings` that need only NumPy or tifffile."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ log = logging.getLogger("fingerflow.player")
 
 
 def reads(asked: Asked) -> bool:
-    """Return whether the name ends in one of the suffixes of these formats."""
+    """Return whether the request is for a file with a suffix of these formats."""
     return asked.path.is_file() and asked.path.suffix.lower() in _SUFFIXES
 
 
 def open_frames(asked: Asked) -> Source:
-    """Return the frames; raise FingerflowError with what is wrong, or with the name of a missing library."""
+    """Open a recording as a source of frames; raise FingerflowError for a damaged file or a missing library."""
     try:
         recording = open_recording(asked.path)
     except ImportError as error:
@@ -36,9 +36,10 @@ def open_frames(asked: Asked) -> Source:
 
 
 def _frames(recording: Recording, first: int) -> Iterator[Array]:
-    """Yield the frames from number `first` on. A damaged one is black, so that it is not usable, and is logged.
+    """Yield the frames of a recording from number `first` on.
 
-    Raises FingerflowError for a frame of another size than the first.
+    A damaged frame is black, so that it is not usable, and is logged. Raises FingerflowError for a frame of another
+    size than the first.
     """
     for number in range(first, len(recording)):
         frame = recording[number]

@@ -1,4 +1,4 @@
-"""Source for folders of images, one a frame, as camera software saves them; needs OpenCV."""
+"""Source of frames from a folder of images, one a frame, as camera software saves them; needs OpenCV."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 
 def reads(asked: Asked) -> bool:
-    """Return whether the path is a folder."""
+    """Return whether the request is for a folder."""
     return asked.path.is_dir()
 
 
 def open_frames(asked: Asked) -> Source:
-    """Return the images in the order of the numbers in their names; raise PlayerError if there are none."""
+    """Open a folder of images as a source of frames, in the order of the numbers in their names.
+
+    Raise PlayerError if it holds no images.
+    """
     try:
         cv2 = importlib.import_module("cv2")
     except ImportError:
@@ -39,7 +42,7 @@ def open_frames(asked: Asked) -> Source:
 
 
 def _images(cv2: Any, paths: list[Path]) -> Iterator[Array]:
-    """Yield the images (H, W) of files of 8 or 16 bits; colours are converted to grey."""
+    """Yield the images (H, W) read from files, 8 or 16 bits; colours are converted to grey."""
     for path in paths:
         try:
             data = path.read_bytes()
@@ -58,5 +61,5 @@ def _images(cv2: Any, paths: list[Path]) -> Iterator[Array]:
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key by which frame2 comes before frame10."""
+    """Return a sort key of file names by which frame2 comes before frame10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -1,4 +1,4 @@
-"""Source for raw files: pixels without a header, frame after frame; the user states the size of a frame."""
+"""Source of frames from raw files: pixels without a header, frame after frame; the user gives the frame size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ READS = "a raw file"
 
 
 def reads(asked: Asked) -> bool:
-    """Return whether the file ends in .raw or .bin, or the user has stated a shape.
+    """Return whether the request is for a .raw or .bin file, or for any file with a given frame shape.
 
     Files of known formats are read by `formats`, which is asked before.
     """
@@ -22,7 +22,10 @@ def reads(asked: Asked) -> bool:
 
 
 def open_frames(asked: Asked) -> Source:
-    """Return the complete frames, memory-mapped; raise PlayerError without a stated shape or a complete frame."""
+    """Open a raw file as a source of its complete frames, memory-mapped.
+
+    Raise PlayerError without a given shape or without a complete frame.
+    """
     if asked.shape is None:
         raise PlayerError(f"{asked.path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
     pixels = np.memmap(asked.path, np.dtype(asked.dtype), "r")

@@ -1,4 +1,4 @@
-"""Interface of sources of frames, and the request by which one is opened."""
+"""Interface of frame sources, and the request with which one is opened."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ log = logging.getLogger("fingerflow.player")
 
 
 class Source(Protocol):
-    """Source of frames (H, W), None at the end. After any error other than FingerflowError it is opened again."""
+    """Interface of a source of frames (H, W).
+
+    After any error other than FingerflowError it is opened again.
+    """
 
     live: bool  # True if frames arrive whether or not a buffer is free
 
     def read(self) -> Array | None:
-        """Return the next frame; None at the end."""
+        """Return the next frame (H, W); None at the end."""
 
     def close(self) -> None:
         """Close the file or camera."""
@@ -30,7 +33,7 @@ OpenSource = Callable[[int], Source]  # from the number of the next frame
 
 
 class Asked(NamedTuple):
-    """Request for a file or folder of frames.
+    """Request to open a file or folder as a source of frames.
 
     Attributes:
         first: number of the first frame to read.
@@ -44,7 +47,7 @@ class Asked(NamedTuple):
 
 
 class RecordedFrames:
-    """Source of the frames (H, W) that an iterator reads from a file; `close` closes the file."""
+    """Source of the frames (H, W) of a file, read by an iterator; `close` closes the file."""
 
     live = False
 
@@ -52,12 +55,12 @@ class RecordedFrames:
         self._frames, self.close = frames, close
 
     def read(self) -> Array | None:
-        """Return the next frame; None at the end."""
+        """Return the next frame (H, W); None at the end."""
         return next(self._frames, None)
 
 
 def close_within(seconds: float, source: Source) -> None:
-    """Close a source; log a warning if that fails, and abandon it if it takes longer than `seconds`."""
+    """Close a source; log a warning if that fails, and give up waiting after `seconds`."""
 
     def close() -> None:
         try:

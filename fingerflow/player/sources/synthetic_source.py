@@ -1,4 +1,4 @@
-"""Synthetic source: a pressed fingertip drawn from formulas."""
+"""Synthetic source: frames of a pressed fingertip, drawn from formulas."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def side_by_side(height: int, width: int) -> StreamScene:
 
 
 class Synthetic:
-    """Endless frames of a pressed fingertip, drawn from formulas once for half a period and then reused.
+    """Source of endless frames of a pressed fingertip, drawn from formulas for half a period and then reused.
 
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
     The divergence in a stream differs from that and may be negative, because each point's displacement counts from its
@@ -39,7 +39,10 @@ class Synthetic:
     half_period = 60  # frames
 
     def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
-        """Render the frames; `gauge_mm` is the gauge length of the expected divergence, None for no expected value."""
+        """Render the frames of half a period.
+
+        `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
+        """
         self._next = 0
         views = (scene.topography, scene.contact)
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
@@ -63,7 +66,7 @@ class Synthetic:
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
-        """Return this source, set to continue from a frame."""
+        """Set the source to continue from a frame number, and return it."""
         self._next = number
         return self
 
@@ -74,7 +77,10 @@ class Synthetic:
         return frame
 
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
-        """Return the true values of a frame; divergence only for points seeded at the first restart, in frame 0."""
+        """Return the true results of a frame.
+
+        The divergence is included only for points seeded at the first restart, in frame 0.
+        """
         place = self._place(number)
         known = self._growing if number < self.half_period else self._grown
         if restart != 1 or not known or math.isnan(known[place]):
@@ -82,16 +88,19 @@ class Synthetic:
         return self._expected[place] | {"median_divergence": known[place]}
 
     def _place(self, number: int) -> int:
-        """Return the index of a frame in the ring."""
+        """Return the index at which the frame of this number is stored."""
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
 
     def close(self) -> None:
-        """Do nothing: no file is open."""
+        """Do nothing, as no file is open."""
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Return the brightness of the skin, about -1 to 1, and the share of light lost to contact, both (H, W) float32."""
+    """Draw the finger: return the brightness of its skin, about -1 to 1, and the share of light lost to contact.
+
+    Both are (H, W) float32.
+    """
     height, width = shape
     pose = Pose.at(progress, shape)
     (shift_x, shift_y), turn, spread = pose.shift, float(pose.turn), pose.spread

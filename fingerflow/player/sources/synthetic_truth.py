@@ -1,4 +1,4 @@
-"""True values for the synthetic finger from its formulas: areas, axes and divergence."""
+"""True results for the synthetic finger, from its formulas: areas, axes and divergence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HALVINGS = 30
 
 
 class Pose(NamedTuple):
-    """Pose of skin and contact at a progress 0 to 1 of the press, in px; arrays if the progress is an array.
+    """Pose of skin and contact at a progress 0 to 1 of the synthetic press, in px; arrays if the progress is an array.
 
     Skin that lies at u from the middle of the view at progress 0 lies at ``shift + spread R(turn) u``. The contact is
     an ellipse about ``shift`` with the semi-axes ``semi`` along x and y.
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def at(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
-        """Return the pose at a progress for views of (height, width) px."""
+        """Return the pose at a progress of the press, for views of (height, width) px."""
         height, width = shape
         return cls(
             shift=(4 * progress, -2 * progress),
@@ -45,13 +45,16 @@ class Pose(NamedTuple):
         return turned
 
     def place(self, skin: Array) -> Array:
-        """Return the position of skin (..., 2) relative to the middle of the view."""
+        """Return the positions of skin points (..., 2) relative to the middle of the view.
+
+        `skin` are their positions at progress 0.
+        """
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         moved += np.stack(np.broadcast_arrays(*self.shift), -1)
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Return the semi-axes of the visible contact: `semi` scaled so that the shorter one loses half a pixel.
+        """Return the semi-axes of the visible contact: `semi`, scaled so that the shorter one is half a pixel less.
 
         At that border the contact has lost half of its light.
         """
@@ -59,14 +62,14 @@ class Pose(NamedTuple):
         return self.semi[0] * share, self.semi[1] * share
 
     def reach(self, skin: Array) -> Array:
-        """Return the elliptic radius of skin (..., 2): below 1 in contact, above 1 outside."""
+        """Return the radius of skin points (..., 2) relative to the contact's ellipse: below 1 in contact."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         a, b = self.seen_axes()
         return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
 
 
 def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
-    """Return the true areas in mm² and the two semi-axes of the ellipse in mm of a frame, by name.
+    """Return the true areas in mm² and ellipse semi-axes in mm of a frame, by name.
 
     Args:
         touching_px: number of pixels that have lost more than half of the light that contact can take.
@@ -81,12 +84,13 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Return the median over the contact of the divergence since each point's onset, for points seeded at progress 0.
+    """Return the true median divergence over the contact, counted from each point's onset.
 
-    Skin u is touched at the progress p0(u) at which the growing contact reaches it: its displacement is x(u, p) -
-    x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted to it as in a stream
-    (`ops.fields.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 in reference
-    coordinates. A measurement differs from this value only by the errors of the points and their limited number.
+    Points are seeded at progress 0. Skin u is touched at the progress p0(u) at which the growing contact reaches it:
+    its displacement is x(u, p) - x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted
+    to it as in a stream (`ops.fields.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1
+    - G)^-1 in reference coordinates. A measurement differs from this value only by the errors of the points and their
+    limited number.
 
     Args:
         progress: of the frame.

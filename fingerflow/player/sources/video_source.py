@@ -1,4 +1,4 @@
-"""Source for video files; needs OpenCV."""
+"""Source of frames from video files; needs OpenCV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fingerflow.player.sources.source import RecordedFrames, Source
 
 
 def open_video(path: Path, first: int) -> Source:
-    """Return the frames of a video file from number `first` on; raise PlayerError where OpenCV cannot open it."""
+    """Open a video file as a source of frames from number `first` on; raise PlayerError if OpenCV cannot open it."""
     try:
         cv2 = importlib.import_module("cv2")
     except ImportError:
@@ -29,7 +29,7 @@ def open_video(path: Path, first: int) -> Source:
 
 
 def _frames(cv2: Any, capture: Any) -> Iterator[Array]:
-    """Yield the frames (H, W), converted to grey."""
+    """Yield the frames (H, W) of a video, converted to grey."""
     while (read := capture.read())[0]:
         frame = read[1]
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame

@@ -1,1 +1,1 @@
-"""Readers of forces, one module a file format."""
+"""Readers of force files, one module per file format."""

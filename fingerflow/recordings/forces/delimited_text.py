@@ -15,7 +15,7 @@ from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read,
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return all columns of a file.
+    """Return all columns of a text file of forces.
 
     The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
     separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.
@@ -76,7 +76,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    """Return the numbers of a text, ignoring empty cells at line ends; raise ValueError for another number of cells."""
+    """Return a table's numbers, ignoring empty cells at line ends; raise ValueError unless it has `columns` columns."""
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
         body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)

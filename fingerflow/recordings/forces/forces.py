@@ -113,7 +113,7 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Return values (k, n) at `times` (n,) resampled to (k, m) at the frames; NaN where unknown."""
+        """Resample values (k, n) from `times` (n,) to frame times `wanted` (m,); NaN outside samples and in gaps."""
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate
@@ -155,7 +155,7 @@ class Forces:
 
 
 def _rate(times: Samples) -> float | None:
-    """Return the median rate in Hz, which a gap or a late sample does not change; None for fewer than two times."""
+    """Return the sample rate in Hz by the median step, unaffected by gaps; None for fewer than two times."""
     steps = np.abs(np.diff(np.sort(times)))
     steps = steps[steps > 0]
     return 1.0 / float(np.median(steps)) if steps.size else None

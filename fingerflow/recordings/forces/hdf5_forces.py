@@ -13,7 +13,7 @@ from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the columns of a file, named by their path in it without the leading slash.
+    """Return the numeric vectors of an HDF5 file as columns, named by their path without the leading slash.
 
     `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
     """

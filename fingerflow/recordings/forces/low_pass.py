@@ -35,7 +35,7 @@ Indices = NDArray[np.intp]
 
 
 def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float) -> Samples:
-    """Return values (k, n) at `times` (n,) low-passed to `nyquist` (Hz) and evaluated at `wanted` (m,): (k, m).
+    """Return channels (k, n) low-passed to `nyquist` (Hz) and evaluated at the times `wanted` (m,), as (k, m).
 
     `times` increase strictly; `wanted` lie between the first and the last of them.
     """
@@ -75,7 +75,8 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
 def _alike(
     times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Return groups of frames with the same relative times of samples, so that one kernel serves each (polyphase).
+    """Group frames whose surrounding samples have the same relative times, so that one filter kernel serves each group
+    (polyphase).
 
     At 10 kHz and 300 frames/s there are three such groups, and some single frames near the ends.
     """
@@ -96,7 +97,8 @@ def _alike(
 
 
 def _stretches(times: Samples) -> Samples:
-    """Return the interval in s that each sample represents: half way to both neighbours.
+    """Return the time interval in s that each sample represents: from half way to the one before to half way to the
+    next.
 
     A gap ends the record as its ends do, so no sample represents more than twice the median step.
     """
@@ -107,13 +109,13 @@ def _stretches(times: Samples) -> Samples:
 
 
 def kernel_half_width(nyquist: float) -> float:
-    """Return half the length of the kernel in s, from Kaiser's rule for the width of the transition."""
+    """Return half the length of the low-pass kernel in s, from Kaiser's rule for the transition width."""
     transition = (STOP_BAND - PASS_BAND) * nyquist
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
 def _window_polynomial() -> Samples:
-    """Return the coefficients of Kaiser's window as a polynomial in 1 - position^2, the constant first.
+    """Return the coefficients of a polynomial in 1 - position^2 for Kaiser's window, the constant first.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """
@@ -126,7 +128,7 @@ _WINDOW = _window_polynomial()
 
 
 def _over_angle(sine: Samples, angle: Samples) -> Samples:
-    """Return sin(x) / x from both, accurately for small x and 0 too."""
+    """Return sinc values sin(x) / x from given `sine` and `angle`, accurate for x near 0 too."""
     near = np.abs(angle) < _NEAR
     quotient = sine / np.where(near, 1.0, angle)
     quotient[near] = np.sinc(angle[near] / np.pi)
@@ -134,7 +136,7 @@ def _over_angle(sine: Samples, angle: Samples) -> Samples:
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Return weights (m, w) of sum 1 and, in the interior, first moment 0."""
+    """Correct filter weights (m, w) to sum 1 and, away from the ends of the record, to first moment 0."""
     weights = weights / weights.sum(1, keepdims=True)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)

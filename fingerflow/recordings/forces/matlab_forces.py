@@ -18,7 +18,7 @@ UNITS = "units"
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the columns of a file.
+    """Return the numeric vectors of a MATLAB file as columns.
 
     A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` holds the unit of each column by its name.
     """

@@ -15,7 +15,7 @@ _CHANGES = 0.1  # N, tolerated change of a force within the tare
 
 @dataclass(frozen=True)
 class Sensor:
-    """Calibration of a channel: force in N = sign x gain x (reading - zero).
+    """Calibration of a force channel: force in N = sign x gain x (reading - zero).
 
     Attributes:
         gain: N per unit of the reading, which is V for a channel in V, else N.
@@ -31,7 +31,7 @@ class Sensor:
 
 
 def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
-    """Return the same recording with the channels of `sensors` in N.
+    """Return the forces with the channels of `sensors` converted to N.
 
     Args:
         forces: from `open_forces`, aligned: times are from the trigger.

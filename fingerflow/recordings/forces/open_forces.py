@@ -1,4 +1,4 @@
-"""Opening of forces: selection of the reader for a path, then of time, channels and units."""
+"""Opening of force files: selection of the reader for a path, then of time column, channels and units."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def open_forces(
     trigger: Column | None = None,
     lengths: Collection[str] = (),
 ) -> Forces:
-    """Read forces and convert them to s, N and V, and positions to m.
+    """Read a force file and convert forces to N, times to s, voltages to V and positions to m.
 
     Columns are named, or numbered from 1 in the order of the file.
 
@@ -95,7 +95,7 @@ def open_forces(
 
 
 def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
-    """Return the times in s and their column; empty and None if a sample rate determines them."""
+    """Return the sample times in s and their column's name; empty and None if a sample rate determines the times."""
     if sample_rate is not None:
         if time is not None:
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
@@ -130,7 +130,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
 
 
 def _contradicted(table: ForceTable, sample_rate: float) -> None:
-    """Check the columns of times against `sample_rate`; raise FingerflowError if one has a different rate."""
+    """Check `sample_rate` against time columns of the file; raise FingerflowError if one has a different rate."""
     for name in filter(_is_time, table.columns):
         unit = table.units.get(name, "s")
         measured = _rate(table.columns[name] * TO_SECONDS.get(unit, 1.0))
@@ -143,7 +143,7 @@ def _contradicted(table: ForceTable, sample_rate: float) -> None:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
-    """Return the median rate in Hz; None if the numbers do not increase throughout and are no times."""
+    """Return the median rate in Hz of a column of times; None if its numbers do not increase throughout."""
     steps = np.diff(times)
     return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
@@ -151,7 +151,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 def _wanted(
     table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
-    """Return columns of the file by the names of their channels.
+    """Return the selected channels as a mapping from channel name to column name.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """
@@ -170,7 +170,7 @@ def _is_time(name: str) -> bool:
 
 
 def force_columns(path: str | PathLike[str]) -> list[str]:
-    """Return the column names of a file of forces in its order; raise FingerflowError where it cannot be read."""
+    """Return the column names of a force file in order; raise FingerflowError if the file cannot be read."""
     return list(_read_table(Path(path)).columns)
 
 

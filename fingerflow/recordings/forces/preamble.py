@@ -1,4 +1,4 @@
-"""Preambles of text files before the table: headers of LabVIEW measurement files, notes of other programs."""
+"""Preambles of text files before their table: headers of LabVIEW measurement files, notes of other programs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RUN = 3  # consecutive lines of numbers that identify a table
 
 
 class Content(NamedTuple):
-    """Table of a file: its text from the heading on; sample rate in Hz and start in s if the preamble states them."""
+    """Table of a text from its heading on; sample rate in Hz and start in s if the preamble states them."""
 
     text: str
     sample_rate: float | None = None
@@ -24,7 +24,7 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """Return the table of a text: its consecutive lines of numbers, with the heading above them.
+    """Return the table in a text: consecutive lines of numbers, with the heading above them.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
@@ -78,7 +78,7 @@ def _of_labview(path: Path, text: str) -> Content:
 
 
 def is_read(line: str) -> bool:
-    """Return whether a line is neither blank nor a comment."""
+    """Return whether a line of the text is data or heading, that is neither blank nor a comment."""
     begun = line.lstrip()
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
@@ -99,7 +99,7 @@ def cells_of(line: str, separator: str | None) -> list[str]:
 
 
 def is_numeric(cells: Sequence[str]) -> bool:
-    """Return whether all cells that are not empty are numbers, and at least one is."""
+    """Return whether a line's cells are numbers, apart from empty ones, and at least one is."""
     try:
         for cell in filter(None, cells):
             float(cell.replace(",", "."))

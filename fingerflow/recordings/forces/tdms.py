@@ -44,7 +44,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
-    """Return the numeric channels, and the (step, start) of their clocks in s."""
+    """Return the table of numeric channels, and the (step, start) in s of their sample clocks."""
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
     table = ForceTable(path, {})

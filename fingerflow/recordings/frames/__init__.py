@@ -1,1 +1,1 @@
-"""Readers of frames, one module a file format."""
+"""Readers of recordings, one module per file format."""

@@ -47,7 +47,7 @@ SETUP_FIELDS = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a recording by its headers and image offsets alone; raise FingerflowError for colour and for damage."""
+    """Open a Phantom recording by its headers and image offsets alone; raise FingerflowError for colour or damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
     if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":
@@ -99,7 +99,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
-    """Return one frame, found by its offset in the bytes of the file, so that the size of the file does not matter."""
+    """Return one frame, located by its offset in the file."""
     # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
     start = int(offsets[index])
     start += _unsigned(data[start : start + 4])
@@ -111,7 +111,7 @@ def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layo
 
 @dataclass(frozen=True)
 class _CineLayout:
-    """Layout of one image: how its bytes become grey values."""
+    """Pixel layout of an image in a `.cine` file: how its bytes become grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -138,7 +138,7 @@ def _unsigned(data: NDArray[np.uint8]) -> int:
 
 
 class _Setup:
-    """SETUP fields by name; None if this version of the software did not write the field."""
+    """Fields of the SETUP structure of a `.cine` file by name; None for fields that the software did not write."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -207,7 +207,7 @@ def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
 
 
 def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
-    """Return the number of frames, counted from the first, whose bytes are all in the file."""
+    """Return the number of leading frames that are completely stored in the file."""
     ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
     while count:
@@ -219,7 +219,7 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
 
 
 def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
-    """Return the TIME64 stamps as s from the trigger.
+    """Return the camera's time stamps (TIME64) in s from the trigger.
 
     TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
     double would round the difference to 0.2 us.
@@ -233,7 +233,7 @@ def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.
 def _times(
     stamps: NDArray[np.float64], first_number: int, rate: float | None
 ) -> tuple[NDArray[np.float64] | None, float | None, list[str]]:
-    """Return times and rate by the camera's clock, and warnings.
+    """Return the frame times in s and the frame rate by the camera's clock, and warnings.
 
     FrameRate is the setting of the camera; if frames were left out on saving, only the time stamps show it. Frame
     numbers count from the trigger, but in some cameras numbers and clock disagree by minutes.

@@ -19,7 +19,7 @@ NEVER_WRITTEN = "was never written"
 
 
 def open_frames(path: Path, dataset: str = "") -> FileRecording:
-    """Open the only data set of three dimensions, or the one that `dataset` names.
+    """Open the frames of an HDF5 file: its only data set of three dimensions, or the one that `dataset` names.
 
     Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
     that were never written: frames with such a chunk are unreadable, and missing after the last complete frame.
@@ -84,7 +84,8 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return which frames lack a chunk; `stored_whole` has checked that the stated number of frames fits the file."""
+    """Return for each frame whether a chunk of its pixels is missing from the file, as a mask (N,)."""
+    # `stored_whole` has checked that the stated number of frames fits the file.
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

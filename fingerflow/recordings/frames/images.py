@@ -22,7 +22,7 @@ LOSSY = (".jpg", ".jpeg")
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open all images of a folder, or the image `path`.
+    """Open all images of a folder as a recording, or the image `path` as a recording of one frame.
 
     Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
     number is missing in otherwise evenly numbered names, its frame is listed in `unreadable`, so that later frames keep
@@ -51,7 +51,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
-    """Return one frame; raise FingerflowError for an image of another size or type than the first one."""
+    """Return one frame of a folder of images; raise FingerflowError if size or type differ from the first image's."""
     file = files[index]
     assert file is not None, "a missing file is an unreadable frame"
     image = _read_image(file)
@@ -107,7 +107,7 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
 
 
 def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
-    """Return the files in order of their numbers, None for each missing number, and warnings about the numbers."""
+    """Return the image files of a folder in order of their numbers, None for each missing number, and warnings."""
     files = _images_in(folder)
     numbers = _numbers([file.name for file in files])
     if len(numbers) < 2:
@@ -134,7 +134,7 @@ def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
 
 
 def _numbers(names: list[str]) -> list[int]:
-    """Return the one number in which the names differ; an empty list if they differ otherwise."""
+    """Return each file's frame number, the only number in which the names differ; empty if they differ otherwise."""
     parts = [re.split(r"(\d+)", name) for name in names]
     if len({(len(one), tuple(one[::2])) for one in parts}) > 1:
         return []
@@ -163,6 +163,6 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
-    """Return a sort key by which frame_2 comes before frame_10: runs of digits compare as numbers."""
+    """Return a sort key for file names in which runs of digits compare as numbers: frame_2 before frame_10."""
     parts = re.split(r"(\d+)", file.name)
     return [(int(part), part) if part.isdecimal() else (-1, part) for part in parts]

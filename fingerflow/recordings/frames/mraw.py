@@ -42,7 +42,7 @@ XML_PLACES = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open either file of the pair; raise FingerflowError if the other is missing, for colour or an invalid header."""
+    """Open a Photron recording by either of its files; raise FingerflowError if the other is missing, or for colour."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
     else:
@@ -97,7 +97,7 @@ def open_frames(path: Path) -> FileRecording:
 
 @dataclass(frozen=True)
 class _MrawLayout:
-    """Layout of one frame: how its bytes become grey values."""
+    """Pixel layout of a frame in an `.mraw` file: how its bytes become grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -109,7 +109,7 @@ class _MrawLayout:
 
 
 def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
-    """Return one frame whose pixels are packed, or have to be shifted, from the bytes (N, frame_bytes) of all."""
+    """Return frame `index` of stored bytes (N, frame_bytes), with packed or shifted pixels converted to grey values."""
     data = np.asarray(stored[index])
     if layout.stored_bits == 12:
         return unpack(data, 12, layout.shape)
@@ -118,7 +118,7 @@ def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Fram
 
 
 class _Header:
-    """Entries of a `.cih` or `.cihx` file by their names in the text form."""
+    """Entries of a Photron header, `.cih` or `.cihx`, by their names in the `.cih` form."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -161,7 +161,7 @@ class _Header:
 
 
 def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
-    """Return the entries, and whether the line END exists."""
+    """Return the entries of a `.cih` header, and whether its last line, END, exists."""
     entries: dict[str, str] = {}
     # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
     lines = data.decode("latin-1").splitlines(keepends=True)

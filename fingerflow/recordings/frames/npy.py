@@ -13,7 +13,7 @@ from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a file by its header alone; raise FingerflowError for other shapes and pixels that are not grey values."""
+    """Open a `.npy` file by its header alone; raise FingerflowError unless shape and type are those of grey frames."""
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
         if length > MOST_NPY_HEADER:

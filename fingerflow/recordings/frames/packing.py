@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def unpack(packed: NDArray[np.uint8], bits: int, shape: tuple[int, int]) -> NDArray[np.uint16]:
-    """Return an image of values of 10 or 12 bits; groups of five bytes hold four of 10, groups of three two of 12."""
+    """Unpack grey values of 10 or 12 bits to an image: 5 bytes hold four 10-bit values, 3 bytes two 12-bit values."""
     size, values_in_group = (5, 4) if bits == 10 else (3, 2)
     padded = np.pad(packed, (0, -len(packed) % size))  # an incomplete last group
     group = padded.reshape(-1, size).T.astype(np.uint16)
@@ -20,5 +20,5 @@ def unpack(packed: NDArray[np.uint8], bits: int, shape: tuple[int, int]) -> NDAr
 
 
 def packed_bytes(count: int, bits: int) -> int:
-    """Return the number of bytes of `count` values of `bits` bits; a frame starts on a whole byte."""
+    """Return the number of bytes that `count` packed values of `bits` bits occupy; a frame starts on a whole byte."""
     return (count * bits + 7) // 8

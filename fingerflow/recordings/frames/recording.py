@@ -1,4 +1,4 @@
-"""Interface of all recordings, whatever their file format: lazy access to frames and the time of each."""
+"""Interface of all recordings, whatever their file format: frames read on demand, and the time of each frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Frames = NDArray[Any]
 
 @dataclass(frozen=True)
 class Description:
-    """Content of a file's header, as a reader finds it before it reads any frame; see `Recording`.
+    """Metadata that a reader takes from a recording's header before it reads any frame; see `Recording`.
 
     `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
     None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
@@ -55,7 +55,7 @@ class DamagedFrame(FingerflowError):
 
 
 class Recording(ABC):
-    """Grey frames that are read on demand.
+    """Sequence of grey frames that are read from the file on demand.
 
     `recording[3]` is an array (H, W); `recording[10:0:-2]` and `recording[[3, 1, 2]]` are recordings that are read on
     demand too; `read()` returns all frames as (N, H, W) and `batches(n)` yields n at a time.
@@ -83,13 +83,13 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the lossy codec that predicts frames from others, else None; it invalidates stated deviations."""
+        """Return the lossy codec if it predicts frames from others, which invalidates deviations; else None."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
-        """Return the damaged frames by index, with the reason in words that follow "frame 12".
+        """Return the damaged frames by index, each with a reason that continues the words "frame 12".
 
         Such a frame is read as NaN, or as 0 for integer pixels; no result may be computed from it. Damage that no
         header states (videos, compressed pages) is known only after the frame was read, so check this again after
@@ -98,7 +98,7 @@ class Recording(ABC):
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return the number of complete frames."""
+        """Return the number of frames, without incomplete ones."""
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
@@ -155,7 +155,7 @@ class Recording(ABC):
         return self.read() if frames is None else frames
 
     def batches(self, size: int) -> Iterator[Frames]:
-        """Yield arrays (n, H, W) with n = `size`, the last one shorter if need be; one is in memory at a time."""
+        """Yield the frames as arrays (n, H, W), n = `size` or less for the last one; one is in memory at a time."""
         if size < 1:
             raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
         for start in range(0, len(self), size):
@@ -176,7 +176,7 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """Recording of all frames of a file.
+    """Recording that comprises all frames of one file.
 
     `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
     cannot. `close_file` closes the file.
@@ -208,7 +208,7 @@ class FileRecording(Recording):
             self.replace_rate(self.frame_rate)
 
     def replace_rate(self, frame_rate: float) -> None:
-        """Replace the rate and the time stamps of the file: frame i lies at (first number + i) / frame_rate.
+        """Replace the frame rate and the times of the file: frame i is at (first number + i) / frame_rate.
 
         Time 0 stays at the trigger.
         """
@@ -223,7 +223,7 @@ class FileRecording(Recording):
         return MappingProxyType(self._unreadable)
 
     def _decode(self, index: int) -> Frames:
-        """Return frame `index` (H, W), or raise DamagedFrame; the only method in which pixels are read."""
+        """Read the pixels of frame `index` as (H, W), or raise DamagedFrame; no other method reads pixels."""
         if self._frames is None:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         if isinstance(self._frames, np.ndarray):
@@ -255,7 +255,7 @@ class FileRecording(Recording):
 
 
 class _View(Recording):
-    """Selection of frames of a file, in any order."""
+    """Recording that consists of selected frames of a file, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
         super().__init__(file)
@@ -292,7 +292,7 @@ class _View(Recording):
 
 
 def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
-    """Return the rate of a selection: every second frame of 300 Hz is 150 Hz, unevenly spaced frames have none."""
+    """Return the rate of selected frames: every second frame of 300 Hz gives 150 Hz, uneven spacing gives None."""
     if rate is None or len(indices) < 2:
         return rate
     step, *others = {abs(one) for one in _steps(indices)}
@@ -307,7 +307,7 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
-    """Return the dtype if frames may have it.
+    """Check that a data type can hold grey values, and return it.
 
     Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
     """
@@ -320,7 +320,7 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
 
 
 def lossy_codec(name: str) -> str:
-    """Return the warning for pixels that a lossy codec has changed.
+    """Return the warning to the user that a lossy codec has changed the pixels.
 
     A codec that compresses each frame by itself leaves an error that differs from frame to frame. Residuals include it,
     and deviations from them are valid: on the shipped press as Motion JPEG two of three errors lie within the stated

@@ -23,7 +23,7 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
+    """Open a TIFF stack by its page tags; raise FingerflowError for colour, two axes of frames or differing pages.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.
@@ -45,7 +45,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
-    """Return one frame of those that are compressed or scattered."""
+    """Return one frame of a TIFF stack whose pixels are compressed or not contiguous."""
     image = np.asarray(pages[index].asarray())
     if image.size != shape[0] * shape[1]:
         raise DamagedFrame(f"is {image.shape} and not {shape}")
@@ -65,7 +65,7 @@ class _Complaints(logging.Filter):
 
 
 def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
-    """Check the chain of pages, each of which states the position of the next; raise FingerflowError for a loop.
+    """Check that the linked list of pages in a TIFF file has no loop; raise FingerflowError for one.
 
     tifffile checks for loops only at the hundredth page, and not at all where it takes pages one by one.
     """
@@ -91,7 +91,7 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
 def _describe(
     path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]
 ) -> tuple[Description, Sequence[Any] | Frames]:
-    """Return the header and either a memory map of the frames, or their pages, which are decoded one by one."""
+    """Return the metadata of a TIFF stack and either a memory map of its frames, or its pages to decode one by one."""
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
     kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
@@ -160,7 +160,7 @@ def _describe(
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Return why a page of `frame_bytes` bytes of pixels cannot be read whole, by its header; "" for no reason."""
+    """Return why the `frame_bytes` bytes of pixels of a page cannot be read, judged by its header; "" if they can."""
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))

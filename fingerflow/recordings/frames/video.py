@@ -33,7 +33,8 @@ CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder f
 
 
 def open_frames(path: Path) -> VideoRecording:
-    """Find the position of each frame without decoding; raise FingerflowError for files that FFmpeg cannot read.
+    """Open a video and find the position of each frame without decoding; raise FingerflowError if FFmpeg cannot read
+    it.
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
     """
@@ -90,7 +91,7 @@ def open_frames(path: Path) -> VideoRecording:
 
 
 class VideoRecording(FileRecording):
-    """Recording that decodes from the key frame before the requested frame and caches the last frames.
+    """Recording of a video file: decodes from the key frame before the requested frame and caches the last frames.
 
     Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
@@ -142,7 +143,7 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and the later frames that depend on it, up to the next key frame."""
+        """Mark a frame as unreadable, and also later frames predicted from it, up to the next key frame."""
         self._unreadable.setdefault(number, reason)
         keys = self._index.keys
         place = bisect_right(keys, number)
@@ -163,7 +164,7 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Yield frames with their numbers from key frame `key` on; frames shown before it lack their references."""
+        """Yield decoded frames with their numbers from key frame `key` on, without frames shown before it."""
         count = 0
         packets = self._container.demux(stream)
         while True:
@@ -202,7 +203,7 @@ class VideoRecording(FileRecording):
 
 @dataclass(frozen=True)
 class _Index:
-    """Index of the frames of a video.
+    """Index of a video: frame times, and frames at which decoding can start.
 
     `stamps`: ticks in display order, None if the file has no usable ones (then decoding always starts at the
     beginning). `keys`: numbers of the frames at which decoding can start, in order. `numbers`: frame numbers by stamp.
@@ -218,7 +219,7 @@ class _Index:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixel format: how a decoded image becomes grey values."""
+    """Pixel format of a video: how a decoded image becomes grey values."""
 
     name: str
     shape: tuple[int, int]
@@ -252,13 +253,13 @@ def _open(path: Path) -> Any:
 
 
 def _has_checksums(path: Path) -> bool:
-    """Return whether one of the first five packets has valid checksums; the stream's header cannot be read for this."""
+    """Return whether an FFV1 stream has checksums: true if one of its first five packets has valid ones."""
     with _open(path) as container, reading(path, "video"):
         return any(slices_are_whole(bytes(packet)) for packet in islice(container.demux(video=0), 5))
 
 
 def _lossy(codec: Any) -> str | None:
-    """Return the name of a lossy codec, else None. Lossless H.264 is recognised by its profile."""
+    """Return the name of a video's codec if it is lossy, else None. Lossless H.264 is recognised by its profile."""
     if codec.codec.lossless and not codec.codec.lossy:
         return None
     lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)
@@ -266,7 +267,7 @@ def _lossy(codec: Any) -> str | None:
 
 
 def unfinished(path: Path) -> str:
-    """Return in words whether a Matroska file (MKV, WebM) ends before its segment; "" if it is complete.
+    """Return in words how a Matroska file (MKV, WebM) is incomplete; "" if it is complete or of another format.
 
     The program that writes the file states the segment's length only when it has finished. Source: RFC 9559 (Matroska)
     and RFC 8794 (EBML), variable-size integers.
@@ -286,7 +287,7 @@ def unfinished(path: Path) -> str:
 
 
 def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return a variable-size integer and where it ends; None if all its bits are set, which means unknown."""
+    """Return a variable-size integer (Matroska) and where it ends; None if its value is stored as unknown."""
     first = data[at] if at < len(data) else 0
     width = 9 - first.bit_length()
     if width > 8:
@@ -346,7 +347,7 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
 
 
 def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
-    """Return (time stamp, whether decoding can start there, whether it is damaged) of each readable packet."""
+    """Return for each readable packet: time stamp, whether decoding can start there, and whether it is damaged."""
     found: list[tuple[Any, bool, bool]] = []
     try:
         for packet in container.demux(stream):

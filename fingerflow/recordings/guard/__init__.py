@@ -1,1 +1,1 @@
-"""Protection against files that are damaged, truncated or hostile, applied by every reader around library calls."""
+"""Protection of the readers against files that are damaged, truncated or hostile."""

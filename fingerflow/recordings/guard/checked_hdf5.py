@@ -17,7 +17,7 @@ KIND = "HDF5"
 
 
 def open_hdf5(path: Path, **options: Any) -> h5py.File:
-    """Return `h5py.File(path, "r")` after a separate process has traversed the file.
+    """Open an HDF5 file for reading, after a separate process has traversed it without a crash.
 
     Raises FingerflowError where the file cannot be opened, or where traversing it ended that process (see
     :func:`check_in_child_process`).
@@ -29,7 +29,7 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
 
 
 def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:
-    """Return an attribute of one number, None without it; raise FingerflowError if it is anything else."""
+    """Return an HDF5 attribute's number, None without the attribute; raise FingerflowError if it is not one number."""
     if name not in item.attrs:
         return None
     value = np.asarray(item.attrs[name])
@@ -39,7 +39,7 @@ def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> 
 
 
 def stored_whole(values: h5py.Dataset, path: Path) -> None:
-    """Check that the stated content of a data set can be in the file, before memory is allocated for it.
+    """Check that a file can contain all values that a data set claims to have, before memory is allocated for them.
 
     Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are
     missing: HDF5 itself silently returns zeros for these.

@@ -1,4 +1,4 @@
-"""Traversal of files in a separate process, because libraries crash, loop or exhaust memory on damaged ones.
+"""Traversal of files in a child process, because libraries crash, loop or exhaust memory on damaged ones.
 
 Run as a script, it reads a line of JSON a file, with path and kind, and answers in a line each. It performs the same
 operations as the readers on everything that they may access. Exceptions are ignored, because the reader gets the same
@@ -23,7 +23,7 @@ MOST_ATTRIBUTE_BYTES = 1 << 26
 
 
 def main() -> None:
-    """Answer requests until the input ends."""
+    """Traverse files named on the standard input, one a line, and print an answer for each, until the input ends."""
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)
@@ -34,7 +34,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Return what is wrong with a file, "" for nothing; or its content."""
+    """Run `through` on a file with limits of time and memory; return what is wrong, "" if nothing, or content."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -48,7 +48,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Read objects, attributes and the index of chunks of an HDF5 file, without values; return what is wrong, or ""."""
+    """Traverse objects, attributes and chunk index of an HDF5 file, without values; return what is wrong, or ""."""
     import h5py
 
     count = 0
@@ -71,7 +71,7 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """Return the content of a MATLAB file as :func:`as_json`, or what is wrong with it.
+    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or a text that says what is wrong with it.
 
     SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
     elsewhere. Therefore the values themselves are passed on.
@@ -95,7 +95,7 @@ def read_matlab(path: str) -> Any:
 
 
 def as_json(value: Any) -> Any:
-    """Return content for JSON: mappings, texts, arrays of numbers as {".npy": base64}, None for all else."""
+    """Convert values to JSON types: mappings, texts, arrays of numbers as {".npy": base64}, None for all else."""
     import numpy as np
 
     if isinstance(value, dict):
@@ -114,7 +114,7 @@ def as_json(value: Any) -> Any:
 
 
 def through_tdms(path: str) -> str:
-    """Read the segments and their metadata of a TDMS file, without values; return ""."""
+    """Traverse the segments of a TDMS file and their metadata, without values; return "" if that succeeds."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(path):
@@ -122,7 +122,7 @@ def through_tdms(path: str) -> str:
 
 
 def through_video(path: str) -> str:
-    """Read the header, the index if present, and the first frames, by which FFmpeg completes the header; return ""."""
+    """Open a video and let FFmpeg read its header, index and first frames; return "" if that succeeds."""
     import av
 
     with av.open(path, metadata_errors="replace"):
@@ -166,7 +166,7 @@ def _limit_memory(path: str, allowed: int) -> None:
 
 
 def _limit_time(seconds: float) -> None:
-    """Limit CPU time by a signal that ends the process; 0 removes the limit."""
+    """Limit the CPU time of the process from now on; a signal ends it after `seconds`, and 0 removes the limit."""
     import signal
 
     if hasattr(signal, "setitimer"):

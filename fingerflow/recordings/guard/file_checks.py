@@ -1,4 +1,4 @@
-"""Checks that a path can be read and that its stated size is plausible, and messages for exceptions of libraries."""
+"""Checks that a file is readable and of plausible size, and conversion of library exceptions to messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KINDS = (
 
 
 def check_file(path: Path) -> int:
-    """Return the size in bytes of a file that can be opened.
+    """Check that a path is a file that can be opened, and return its size in bytes.
 
     Raises FingerflowError if it is not a file (opening a pipe would block), does not exist, or may not be read.
     """
@@ -43,7 +43,7 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def reading(path: Path, kind: str) -> Iterator[None]:
-    """Convert any exception of a library in this context into FingerflowError with the file and the remedy.
+    """Context for calls of file libraries that converts any exception into FingerflowError with file and remedy.
 
     Libraries of file formats do not specify what they raise for a damaged file: struct.error, KeyError, AssertionError,
     ZeroDivisionError and codecs' own exceptions were observed. Therefore every exception is converted; the context
@@ -61,5 +61,5 @@ def reading(path: Path, kind: str) -> Iterator[None]:
 
 
 def plausible_size(claimed: int, stored: int) -> bool:
-    """Return whether `claimed` bytes can be unpacked from `stored` bytes; checked before memory is allocated."""
+    """Return whether `stored` bytes can decompress to `claimed` bytes; checked before memory is allocated."""
     return claimed <= MOST_COMPRESSED * stored + _ALWAYS

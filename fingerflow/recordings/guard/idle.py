@@ -1,4 +1,4 @@
-"""Time limit on a process that has come to a standstill, as opposed to one that waits for a busy machine."""
+"""Time limit for a process that makes no progress; time in which it waits for a busy machine does not count."""
 
 from __future__ import annotations
 

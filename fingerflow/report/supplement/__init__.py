@@ -1,4 +1,4 @@
-"""The figures of the supplement of Willemet et al. 2021 that simulation and tables give, and its movie of the model."""
+"""Figures of the supplement of Willemet et al. 2021 that simulation and tables can give, and movie of the model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,14 +41,14 @@ MOVIE = "M3.mp4"
 
 @dataclass(frozen=True)
 class Written:
-    """A figure's name, its file, None where nothing of it could be made, and what was left out and why."""
+    """Outcome for one figure: name, file (None if nothing could be drawn), and what was left out and why."""
 
     name: str
     path: Path | None
     left_out: tuple[str, ...]
 
     def __str__(self) -> str:
-        """A line for the reader."""
+        """Return the outcome as one line of text."""
         skipped = "; ".join(self.left_out)
         if self.path is None:
             return f"{self.name}: skipped: {skipped}"
@@ -56,7 +56,7 @@ class Written:
 
 
 def write_supplement(sources: Sources, folder: Path, progress: bool = True, overwrite: bool = False) -> list[Written]:
-    """Writes each figure as PNG and the model's movie as `M3.mp4` into a folder, made where there is none.
+    """Write each figure as PNG and the movie of the model as `M3.mp4` into a folder, which is created if missing.
 
     Raises FingerflowError where a file cannot be written or a trace cannot be cut into epochs; and, before anything is
     drawn, where without ``overwrite`` a file of such a name is there that is no such figure.

@@ -1,4 +1,4 @@
-"""Figures S4, S6 and S10: simulation alone."""
+"""Figures S4, S6 and S10 of the supplement, which need simulation alone."""
 
 from fingerflow.report.decomposition import decompose, draw_decomposition
 from fingerflow.report.half_sphere import draw_half_sphere, draw_lengths, draw_radial_strain
@@ -15,26 +15,25 @@ from fingerflow.report.supplement.sources import Sources
 
 
 def half_sphere(_: Sources) -> Sheet:
-    """Figure S4."""
+    """Return figure S4: a half-sphere of skin pressed flat."""
     return Sheet(
         "S4",
         (
-            SheetPanel("A", lambda part: draw_half_sphere(part.subplots())),
-            SheetPanel("B", lambda part: draw_lengths(part.subplots())),
-            SheetPanel("C", lambda part: draw_radial_strain(part.subplots())),
+            SheetPanel.of_axes("A", draw_half_sphere),
+            SheetPanel.of_axes("B", draw_lengths),
+            SheetPanel.of_axes("C", draw_radial_strain),
         ),
     )
 
 
 def decomposition(sources: Sources) -> Sheet:
-    """Figure S6, of the simulated press."""
+    """Return figure S6: decomposition of the displacement field of the simulated press."""
     found = decompose(sources.field.reference, sources.field.displacement)
-
     return Sheet("S6", (SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
 
 
 def strains_at_depth(sources: Sources) -> Sheet:
-    """Figure S10."""
+    """Return figure S10: stress and strain at receptor depth."""
     presses, depth = sources.presses, sources.depth
     return Sheet(
         "S10",
@@ -44,6 +43,6 @@ def strains_at_depth(sources: Sources) -> Sheet:
             SheetPanel("C", lambda part: draw_stress_map(part, presses, depth)),
             SheetPanel("D", lambda part: draw_receptor_stress(part, presses, depth)),
             SheetPanel("E", lambda part: draw_strain_in_time(part, presses, depth)),
-            SheetPanel("F", lambda part: draw_compression(part.subplots(), presses, depth)),
+            SheetPanel.of_axes("F", draw_compression, presses, depth),
         ),
     )

@@ -1,14 +1,9 @@
-"""Figures S1, S5, S7, S8 and S9: a tribometer trace, a table of trials, and the skin chain where it has an answer."""
+"""Figures S1, S5, S7, S8 and S9 of the supplement: from a tribometer trace, a table of trials, or the skin chain."""
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from matplotlib.figure import SubFigure
-
-from fingerflow.models.observer import Trials
 from fingerflow.report.simulated_presses import (
-    HIGH,
-    LOW,
     draw_energy_maps,
     draw_energy_series,
     draw_fastest_point,
@@ -31,50 +26,43 @@ from fingerflow.report.tribometer import draw_friction, draw_trace
 _RECORDING = "pictures and series of recordings, which no table of trials holds"
 _NO_TRACE = "a tribometer trace (--tribometer)"
 
-# A letter, what draws it from the table, the metrics that it takes, and settings.
-_Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
+_BY_CONDITION_NORMALISED = partial(draw_by_condition, normalised=True)
 
 
 def friction_and_area(sources: Sources) -> Sheet:
-    """Figure S1."""
+    """Return figure S1: friction from the tribometer trace, contact areas from the table of trials."""
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
     if trace is None or epochs is None:
         left_out += [(letter, _NO_TRACE) for letter in "AB"]
     else:
-        panels.append(
-            SheetPanel(
-                "A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), columns=2, rows=1.4
-            )
-        )
-        panels.append(SheetPanel("B", lambda part: draw_friction(part.subplots(), epochs)))
+        panels = [
+            SheetPanel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), 2, 1.4),
+            SheetPanel.of_axes("B", draw_friction, epochs),
+        ]
     left_out += [(letter, _RECORDING) for letter in "CE"]
     found, lacking = _from_table(
         sources,
-        (
-            ("D", draw_by_condition, ("gross_contact_area",), {"normalised": True}),
-            ("F", draw_by_condition, ("real_contact_area",), {"normalised": True}),
-        ),
+        ("D", _BY_CONDITION_NORMALISED, "gross_contact_area"),
+        ("F", _BY_CONDITION_NORMALISED, "real_contact_area"),
     )
     return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking))
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Figure S5; J beside the table's by the skin chain, K by the skin chain."""
+    """Return figure S5: force and motion. J is drawn from the table and the skin chain, K from the skin chain."""
     found, lacking = _from_table(
         sources,
-        (
-            ("B", draw_distribution, ("max_force",), {}),
-            ("C", draw_distribution, ("time_to_max_force",), {}),
-            ("D", draw_distribution, ("duration",), {}),
-            ("E", draw_influence, ("max_force",), {}),
-            ("F", draw_influence, ("time_to_max_force",), {}),
-            ("G", draw_influence, ("duration",), {}),
-            ("H", draw_distribution, ("force_rate",), {}),
-            ("I", draw_influence_by_condition, ("force_rate",), {}),
-            ("J", draw_by_condition, ("max_displacement",), {}),
-        ),
+        ("B", draw_distribution, "max_force"),
+        ("C", draw_distribution, "time_to_max_force"),
+        ("D", draw_distribution, "duration"),
+        ("E", draw_influence, "max_force"),
+        ("F", draw_influence, "time_to_max_force"),
+        ("G", draw_influence, "duration"),
+        ("H", draw_distribution, "force_rate"),
+        ("I", draw_influence_by_condition, "force_rate"),
+        ("J", draw_by_condition, "max_displacement"),
     )
     chain = (
         SheetPanel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
@@ -84,71 +72,61 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Figure S7; D and E against differences where the table has them, as the axes say."""
+    """Return figure S7: displacement and force angle; D and E use differences if the table has them."""
     found, lacking = _from_table(
         sources,
-        (
-            ("A", draw_by_condition, ("global_displacement",), {}),
-            ("B", draw_by_condition, ("force_angle",), {}),
-            ("C", draw_share_against, ("global_displacement",), {}),
-            ("D", draw_share_against, (sources.difference("force_angle"),), {}),
-            ("E", draw_share_against, (sources.difference("real_contact_area"),), {}),
-        ),
+        ("A", draw_by_condition, "global_displacement"),
+        ("B", draw_by_condition, "force_angle"),
+        ("C", draw_share_against, "global_displacement"),
+        ("D", draw_share_against, sources.difference("force_angle")),
+        ("E", draw_share_against, sources.difference("real_contact_area")),
     )
     return Sheet("S7", tuple(found), Sheet.sentences(lacking))
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
+    """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
     chain = (
-        SheetPanel(
-            "B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses, (LOW, HIGH)), columns=3, rows=2
-        ),
+        SheetPanel("B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses), columns=3, rows=2),
         SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
         SheetPanel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
     )
     found, lacking = _from_table(
         sources,
-        (
-            ("G", draw_correlation, ("divergence", "strain"), {}),
-            ("H", draw_share_against, (sources.difference("strain"),), {}),
-            ("I", draw_share_against, ("strain_rate",), {}),
-        ),
+        ("G", draw_correlation, "divergence", "strain"),
+        ("H", draw_share_against, sources.difference("strain")),
+        ("I", draw_share_against, "strain_rate"),
     )
     return Sheet("S8", (*chain, *found), Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking]))
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
+    """Return figure S9: strain energy. A, B and C are from the skin chain; E uses differences if the table has them."""
     chain = (
-        SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses, (LOW, HIGH)), columns=2),
+        SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
         SheetPanel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses, rate=True)),
     )
     found, lacking = _from_table(
         sources,
-        (
-            ("D", draw_correlation, ("divergence", "strain_energy"), {}),
-            ("E", draw_share_against, (sources.difference("strain_energy"),), {}),
-        ),
+        ("D", draw_correlation, "divergence", "strain_energy"),
+        ("E", draw_share_against, sources.difference("strain_energy")),
     )
     return Sheet("S9", (*chain, *found), Sheet.sentences(lacking))
 
 
-def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Panels whose metrics the table has, and of the others the letter and what they need."""
+def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
+    """Return panels whose metrics the table has, and of the others the letter and what they need.
+
+    Args:
+        sources: hold the table.
+        wanted: of each panel the letter, the function that draws it from the table, and its metrics.
+    """
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
-    for letter, draw, metrics, settings in wanted:
-        lacks = sources.lacks(*metrics)
-        if lacks or sources.trials is None:
+    for letter, draw, *metrics in wanted:
+        if lacks := sources.lacks(*metrics):
             left_out.append((letter, lacks))
         else:
-            panels.append(SheetPanel(letter, _drawing(draw, sources.trials, metrics, settings)))
+            panels.append(SheetPanel.of_axes(letter, draw, sources.trials, *metrics))
     return panels, left_out
-
-
-def _drawing(
-    draw: Callable[..., Any], trials: Trials, metrics: tuple[str, ...], settings: dict[str, Any]
-) -> Callable[[SubFigure], Any]:
-    return lambda part: draw(part.subplots(), trials, *metrics, **settings)

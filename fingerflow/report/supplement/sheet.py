@@ -1,4 +1,4 @@
-"""A figure of lettered panels, and what of it is left out for want of input."""
+"""Figure of the supplement, made of lettered panels, with a list of panels that lack input."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,17 +15,22 @@ _PANEL_INCHES = (4.6, 3.8)
 
 @dataclass(frozen=True)
 class SheetPanel:
-    """A letter of the caption, what draws it, over how many of three columns it goes, and its height in panels."""
+    """Panel of a figure: letter, drawing function, width in columns (of three), and relative height."""
 
     letter: str
     draw: Callable[[SubFigure], Any]
     columns: int = 1
     rows: float = 1.0
 
+    @classmethod
+    def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
+        """Return a panel of one axes, into which ``draw(axes, *values)`` draws."""
+        return cls(letter, lambda part: draw(part.subplots(), *values), columns)
+
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure by its name in the supplement; `left_out` says which panels lack what."""
+    """Figure of the supplement with its panels; `left_out` says which panels are missing and what they need."""
 
     name: str
     panels: tuple[SheetPanel, ...]
@@ -33,14 +38,14 @@ class Sheet:
 
     @staticmethod
     def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return one sentence a need, from pairs of a panel's letter and what it needs."""
+        """Return one sentence for each missing input, from pairs of a panel's letter and what the panel needs."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)
         return tuple(f"{', '.join(of)} need{'s' * (len(of) == 1)} {need}" for need, of in letters.items())
 
     def figure(self) -> Figure:
-        """Panels in rows of three columns, each with its letter."""
+        """Draw the panels in rows of three columns, each with its letter."""
         rows: list[list[SheetPanel]] = []
         for panel in self.panels:
             if not rows or sum(other.columns for other in rows[-1]) + panel.columns > _COLUMNS:
@@ -62,7 +67,7 @@ class Sheet:
         return figure
 
     def write(self, folder: Path) -> Path:
-        """Writes `S1.png` and so on, whole or not at all; raises FingerflowError where it cannot be written."""
+        """Write the figure as PNG under its name ("S1.png") atomically; raise FingerflowError if that fails."""
         path = folder / f"{self.name}.png"
         save_figure(self.figure(), path)
         return path

@@ -1,4 +1,4 @@
-"""What figures are made from: each part is read or simulated once, when the first figure asks for it."""
+"""Inputs of the supplement's figures, each read or simulated once, when the first figure needs it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,13 +12,14 @@ from fingerflow.report.simulated_presses import SimulatedPresses, simulate_press
 from fingerflow.report.strains_at_depth import Depth, look_under
 from fingerflow.report.trial_metrics import DIFFERENCE
 from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.synthetic import Press
 
 NO_TRIALS = "a table of trials (--trials)"
 
 
 @dataclass(frozen=True)
 class Sources:
-    """A tribometer trace and a table of trials, None where there is none, and their design; the rest is simulated."""
+    """Inputs of the figures: a tribometer trace and a table of trials with its design; the others are simulated."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -26,12 +27,12 @@ class Sources:
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
-        """Return the epochs of the tribometer trace; None without one."""
+        """Return friction in the epochs of the tribometer trace; None without a trace."""
         return None if self.tribometer is None else self.tribometer.epochs()
 
     @cached_property
     def presses(self) -> SimulatedPresses:
-        """Simulate the presses of the skin chain."""
+        """Simulate the presses of the skin chain at several frictions."""
         return simulate_presses()
 
     @cached_property
@@ -41,16 +42,16 @@ class Sources:
 
     @cached_property
     def field(self) -> PressField:
-        """Compute the field of the simulated press."""
-        return press_field()
+        """Compute the true displacement field of the simulated press."""
+        return press_field(Press())
 
     def difference(self, metric: str) -> str:
-        """Return the column of a metric's difference, comparison less reference, or the metric's own without one."""
+        """Return the column of a metric's difference (comparison less reference), or the metric's own without one."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """Return what a panel of these metrics lacks; empty if it has all."""
+        """Return which input a panel of these metrics lacks; "" if the table of trials has all."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics

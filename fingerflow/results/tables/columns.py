@@ -12,14 +12,14 @@ from fingerflow.schema.variable_record import LABELS
 
 
 class Table(NamedTuple):
-    """Table with the `names` (C,) of its columns including units, and `rows` (R, C)."""
+    """Table with C columns, whose `names` (C,) include units, and R `rows` (R, C)."""
 
     names: tuple[str, ...]
     rows: NDArray[np.float64]
 
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return one row per frame: frame, time, and the variables of frames."""
+    """Return a table with one row per frame: frame, time, and the variables of frames."""
     columns = {"frame": result["frame"].values, **_of(result["time"])}
     for values in _chosen(result, variables, ("frame",)):
         columns |= _of(values)
@@ -27,7 +27,8 @@ def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return one row per point and frame, ordered by frame: frame, time, point, and the variables of points.
+    """Return a table with one row per point and frame, ordered by frame: frame, time, point, and the variables of
+    points.
 
     A variable of points alone, such as the onset, is repeated in every frame.
     """
@@ -70,7 +71,7 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
 
 
 def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Yield the variables with one of these dimensions, optionally with components: all of them, or those named."""
+    """Yield the variables with one of these dimensions, with or without components; `variables` limits them by name."""
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -90,7 +91,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return the columns of a variable by names with units, one for each component."""
+    """Return the table columns of a variable, one for each component, by names with units."""
     units = values.attrs["units"]
     if values.dims[-1] not in LABELS:
         return {f"{values.name} ({units})": values.values}

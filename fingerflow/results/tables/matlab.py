@@ -17,7 +17,7 @@ _ABOUT = (
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:
-    """Write every variable; `units` and `definitions` by its name, `settings` by table and key, `warnings`, `about`."""
+    """Write a result to a .mat file: all variables, `units`, `definitions`, `settings`, `warnings` and `about`."""
     content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
     content["time"], content["frame"] = result["time"].values, result["frame"].values
     if "triangles" in content:
@@ -39,7 +39,7 @@ def save_matlab(result: xr.Dataset, path: Path) -> None:
 
 
 def _for_matlab(value: Any) -> Any:
-    """Return nested structs; None becomes an empty array."""
+    """Convert nested settings to nested structs for MATLAB; None becomes an empty array."""
     if isinstance(value, dict):
         return {name: _for_matlab(one) for name, one in value.items()}
     return np.zeros((0, 0)) if value is None else value

@@ -1,4 +1,4 @@
-"""Export of tables and maps to files, by their suffix."""
+"""Export of tables and maps to files whose format follows from the suffix."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,7 +55,7 @@ def export_table(
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
-    """Write a variable of points or triangles on a regular grid of the glass, for every frame.
+    """Write maps of a variable of points or triangles on a regular grid of the glass, one for every frame.
 
     Args:
         result: of `process`.

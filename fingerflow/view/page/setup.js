@@ -35,10 +35,10 @@ export class Setup {
       hover: (x, y) => this.drawing ? "crosshair" : this.cursor(x, y) };
     $("layers").replaceChildren(
       toggle("contact", this.layer.contact, on => this.set("contact", on), "Where process will find real contact"),
-      toggle(this.sensor ? "markers" : "points", this.layer.points, on => this.set("points", on), "The points that process would follow"),
+      toggle(this.sensor ? "markers" : "points", this.layer.points, on => this.set("points", on), "The points that process would track"),
       toggle("topography on contact", this.layer.blend, on => this.set("blend", on),
         "The topography view laid over the contact view by the calibration: ridges should fall on ridges"),
-      make("button", { id: "region", title: "Where skin may touch (contact view), or where points are chosen (topography view)",
+      make("button", { id: "region", title: "Where skin may touch (contact view), or where points are seeded (topography view)",
         onclick: () => this.startRegion() }, "Draw region"),
       make("button", { id: "no-region", hidden: true, onclick: () => this.noRegions() }, "No region"));
     $("hint").textContent = "Drag a view or its edges; wheel to zoom, double click for all.";
@@ -257,7 +257,7 @@ export class Setup {
     }
     if (markers && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }), `${markers.shape[0]} markers in this frame`));
     else if (points && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }),
-      `${points.shape[0]} of ${this.facts.values.tracking?.points ?? 700} points, chosen in frame ${this.points.frame}`));
+      `${points.shape[0]} of ${this.facts.values.tracking?.points ?? 700} points, seeded in frame ${this.points.frame}`));
     else if (this.points?.why) entries.push(make("span", { className: "soft" }, `no points: ${this.points.why}`));
     $("legend").replaceChildren(...entries);
   }

@@ -1,1 +1,1 @@
-"""Contact of every frame."""
+"""Stages that measure the contact in every frame."""

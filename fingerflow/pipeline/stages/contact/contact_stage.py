@@ -1,4 +1,4 @@
-"""Contact of every frame: real and apparent (gross) area, ellipse, and the region that brings points into contact."""
+"""Contact of every frame: real and apparent (gross) area, fitted ellipse, and the gross contact region."""
 
 from typing import Any, ClassVar
 
@@ -29,7 +29,8 @@ _STEADY = 0.01  # change of illumination gain that does not change areas
 
 
 class ContactStage(Stage):
-    """Contact of batches of frames, computed by the engine; only numbers are kept, never pictures.
+    """Stage that measures areas, ellipse and gross region of the contact, batch by batch, by the engine. It keeps
+    numbers, never pictures.
 
     Attributes:
         series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
@@ -79,7 +80,7 @@ class ContactStage(Stage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def step(self, batch: Batch) -> Any:
-        """Return the `FrameContact` of these frames."""
+        """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
         assert batch.frames is not None
         contact, threshold = yield from self._contact(batch.frames)
         size, indices = self.inputs.mm_per_px, batch.indices
@@ -100,7 +101,7 @@ class ContactStage(Stage):
         return contact
 
     def finish(self) -> None:
-        """Write the results; warn if the illumination may have changed by an unknown amount."""
+        """Write the series of all frames to the results; warn if illumination may have changed by an unknown amount."""
         first_frame = self.inputs.scene.recording.first_frame
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
@@ -125,12 +126,13 @@ class ContactStage(Stage):
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
 
     def cells(self) -> dict[str, float]:
-        """Return the attributes that locate the cells of a region: their side and the centre of the first one, mm."""
+        """Return attributes that place a contact region's cells on the glass: side and centre of the first one, mm."""
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the gross region (1, 1, h, w) bool of the reference frame, extended by that of the first frame.
+        """Return the mask (1, 1, h, w) of the gross contact in the reference frame, joined with the first usable
+        frame's if that lies outside.
 
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
         has left its first region since, and skin there has no onset to wait for.
@@ -139,7 +141,7 @@ class ContactStage(Stage):
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the gross regions (1, 1, h, w) bool of the first usable and the reference frame, with a margin.
+        """Return the mask (1, 1, h, w) of the gross contact in the first usable or the reference frame, with a margin.
 
         A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
         sides of the contact border.
@@ -175,7 +177,7 @@ class ContactStage(Stage):
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Return the mean intensity of a frame relative to the empty glass, corrected for the illumination gain.
+        """Return the mean intensity of a frame relative to the empty glass, divided by the illumination gain.
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
@@ -188,7 +190,7 @@ class ContactStage(Stage):
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
-        """Return the relative intensity loss that counts as contact, or None where it is computed for every frame."""
+        """Return the threshold of relative intensity loss for all frames; None if each frame has its own."""
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
             return None

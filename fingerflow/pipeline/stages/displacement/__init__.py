@@ -1,1 +1,1 @@
-"""Displacement of every point."""
+"""Stages that measure the displacement of points."""

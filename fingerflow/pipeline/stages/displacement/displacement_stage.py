@@ -1,4 +1,4 @@
-"""Displacement of each point from its onset of contact, or from one frame for all points."""
+"""Displacement of each point since its own onset of contact, or since one frame common to all points."""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -27,7 +27,7 @@ Points = NDArray[np.float64]
 
 
 class Moved(NamedTuple):
-    """Displacement of n frames since the reference; NaN before contact and for points that never touch.
+    """Displacement of N points in n frames since the reference; NaN before contact and for points that never touch.
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
@@ -39,7 +39,7 @@ class Moved(NamedTuple):
 
 
 class DisplacementStage(Stage):
-    """Reference position of each point, its uncertainty, and the displacement since.
+    """Stage that determines each point's reference position with its uncertainty, and its displacement from there.
 
     `fields.reference` selects the reference: each point's own onset of contact, which is uncertain, or one frame for
     all.
@@ -150,12 +150,12 @@ class DisplacementStage(Stage):
         self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
 
     def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the variance (n, N) mm^2 of a component of the position in these frames, against the templates."""
+        """Return the variance (n, N) mm^2 of a position component in these frames, by registration with templates."""
         variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self.mm_per_px)) ** 2
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """Return the covariance (n, N, 2, 2) mm^2 of the displacement; variances are NaN where the displacement is."""
+        """Return the covariance (n, N, 2, 2) mm^2 of displacements of N points in n frames; NaN if these are NaN."""
         result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
         for component in range(2):
             result[..., component, component] += moved.variance
@@ -190,7 +190,7 @@ class DisplacementStage(Stage):
             self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
 
     def _in_reference(self, name: str) -> NDArray[Any]:
-        """Return a variable (N, ...) in the reference frame."""
+        """Return the values (N, ...) of a result variable in the reference frame."""
         assert self.since.frame is not None
         values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
         return values
@@ -206,7 +206,7 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement of frames (n,) since each point's touch; they follow those that `touch` has seen."""
+        """Return the displacement since each point's touch in the next frames `indices` (n,) of a series."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
@@ -232,7 +232,7 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of a component of the displacement.
+        """Return the variance (n, N) px^2 of a displacement component by image noise.
 
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself.
@@ -251,7 +251,8 @@ class DisplacementStage(Stage):
         return result
 
     def _find_errors_of_onset(self) -> None:
-        """Compute the covariance (N, 2, 2) mm^2 of the position of onset: the speed then times the error of the time.
+        """Compute the covariance (N, 2, 2) mm^2 of each onset position: the point's velocity at onset times the timing
+        error.
 
         The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
         takes d frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is
@@ -292,12 +293,12 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return the positions (..., N, 2) mm of each point in its frames (..., N); -1 for the last frame."""
+        """Return positions (..., N, 2) mm of N points, each in the frame given for it (..., N); -1 is the last."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Points in the reference frame; NaN where they are not known there."""
+    """Positions of the points in the common reference frame; NaN for points that are not known in it."""
 
     place: Points  # (N, 2) mm
     place_px: Points
@@ -305,12 +306,12 @@ class _Fixed(NamedTuple):
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
-    """Return all frames in runs of `_FRAMES`."""
+    """Return the frame indices 0 to `frames` - 1, split into runs of `_FRAMES`."""
     return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Return `values` (frames, N, ...) of each of these points, all by default, in its frames: (..., P, ...)."""
+    """Return `values` (frames, N, ...) of P `points`, all by default, each in its frame of `frames`: (..., P, ...)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

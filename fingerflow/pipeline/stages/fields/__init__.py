@@ -1,1 +1,1 @@
-"""Divergence, curl, shear and strain from local fits, and their medians."""
+"""Stages that compute divergence, curl, shear and strain from local fits, and their medians."""

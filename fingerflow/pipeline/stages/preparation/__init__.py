@@ -1,1 +1,1 @@
-"""Inputs of a recording, and detection of the frames that can be used."""
+"""Stages and helpers that open the inputs of a recording and detect unusable frames."""

@@ -26,7 +26,7 @@ _SAID = {
 
 
 class FrameCheckStage(Stage):
-    """Detection of unusable frames by block means of some 20,000 pixels of the contact and topographic views each.
+    """Stage that detects unusable frames from block means of some 20,000 pixels of each view.
 
     An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
     been recorded.
@@ -83,7 +83,7 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """Compute distances of the waiting frames of a view to the frames before them."""
+        """Compute distances between the latest frames of a view and the frames before them, from block means."""
         blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
         self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]

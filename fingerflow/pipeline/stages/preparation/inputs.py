@@ -1,4 +1,4 @@
-"""Inputs of a run, opened and checked: recording, background, calibration and engine."""
+"""Inputs of a run, opened and checked: recording, background, calibration and the engine that computes."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -24,7 +24,7 @@ _REFERENCE_FRAMES = 64  # averaged background frames, at most: their noise is an
 
 @dataclass
 class Inputs:
-    """Opened scene on a device.
+    """Inputs of a run on a device: scene, opened recording, times and engine.
 
     Attributes:
         times: (frames,) s of the selected frames, from the trigger frame where the scene names one.
@@ -47,7 +47,7 @@ class Inputs:
         self.gauge_length_mm = self.scene.fields.gauge_length_mm
 
     def with_scene(self, scene: Scene) -> "Inputs":
-        """Return the same inputs with the settings of another scene, and engine "auto"."""
+        """Return inputs with the same recording and device, but the settings of another scene and engine "auto"."""
         return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
 
     @property
@@ -60,13 +60,13 @@ class Inputs:
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
 
     def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) mm on the glass of positions (..., 2) px in the topographic view."""
+        """Convert positions (..., 2) from px of the topographic view to mm on the glass."""
         matrix = self.topography_to_contact
         result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
         return result
 
     def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) px in the topographic view of positions (..., 2) mm on the glass."""
+        """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
         matrix = self.topography_to_contact
         result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
         return result
@@ -77,23 +77,24 @@ class Inputs:
         return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
 
     def tensor(self, values: NDArray[np.floating]) -> Tensor:
-        """Return values as a float32 tensor on the device."""
+        """Return an array as a float32 tensor on the device of the run."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """Return a view of frames (n, H, W) as a tensor (n, 1, h, w) on the device; it must not be written to.
+        """Crop frames (n, H, W) to a view and return them as a tensor (n, 1, h, w) on the device; it must not be
+        written to.
 
         8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
         return images_on(self.device, view.crop(frames))
 
     def reference(self, view: View) -> Tensor:
-        """Return the background of a view, without a finger, (1, 1, h, w) float32."""
+        """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32."""
         assert self.scene.background.frames is not None
         return self._still(self.scene.background.frames, view)
 
     def dark(self, view: View) -> Tensor | None:
-        """Return the dark frame of a view, (1, 1, h, w) float32, or None where none was recorded."""
+        """Return the image of a view without light as (1, 1, h, w) float32, or None if none was recorded."""
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
@@ -137,7 +138,7 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Open the recording of a scene and check that its views fit.
+    """Open the recording of a scene, and check that the scene's views lie within its frames.
 
     `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
 
@@ -210,7 +211,7 @@ def _device(name: str) -> torch.device:
 
 
 def _fits_a_byte(recording: Recording) -> bool | None:
-    """Return True if grey levels have at most 8 bits; None for floating point (a mean of frames), of unknown depth."""
+    """Return True if grey levels have at most 8 bits; None for floating-point frames, whose bit depth is unknown."""
     return None if recording.bit_depth is None else recording.bit_depth <= 8
 
 

@@ -1,4 +1,4 @@
-"""Forces at the times of the frames."""
+"""Forces at the times of the frames: aligned, converted to N and low-passed."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ Series = NDArray[np.float64]
 
 
 class LoadingStage(Stage):
-    """Forces of the scene, aligned to the trigger and low-passed to the frame rate.
+    """Stage that reads the forces of the scene, aligns them to the trigger and low-passes them to the frame rate.
 
     Attributes:
         normal: (frames,) N, NaN outside the force recording; None where the scene has no forces.
@@ -107,7 +107,7 @@ class LoadingStage(Stage):
 
     @property
     def ratio(self) -> Series | None:
-        """Return T/N (frames,); NaN where N is at most 0.05 N, None without a normal or tangential force."""
+        """Return tangential over normal force (frames,); NaN up to 0.05 N of normal force, None without both forces."""
         if self.normal is None or self.tangential is None:
             return None
         pressed = self.normal > _LEAST_NORMAL
@@ -115,14 +115,14 @@ class LoadingStage(Stage):
 
 
 def _channels(settings: ForceSettings) -> dict[str, str | int]:
-    """Return the columns of the force file by the names of the forces."""
+    """Return which column of the force file holds each force, by the names of the forces."""
     tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
     named = [column for column in tangential if column is not None]
     return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}
 
 
 def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
-    """Return gain, sign, offset and tare of each force channel."""
+    """Return the calibration of each force channel: gain, sign, offset and tare."""
 
     def of(given: float | tuple[float, ...] | None, number: int) -> float | None:
         return given[number] if isinstance(given, tuple) else given
@@ -134,7 +134,8 @@ def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sens
 
 
 def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> None:
-    """Check that the forces are those of a pressing finger: in N, positive, and 0 where it `rests` beside the glass.
+    """Check that forces suit a pressing finger: in N, positive, and 0 without contact if `rests` says there is such a
+    time.
 
     Raises FingerflowError for a normal force with the wrong sign; warns of an offset and of a trigger channel in N.
     """

@@ -11,7 +11,7 @@ Series = NDArray[np.float64]
 
 
 def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
-    """Return warnings for the scale of a contact view of (rows, columns) px."""
+    """Return a warning if the image scale makes a contact view of (rows, columns) px implausibly wide."""
     wide = mm_per_px * shape[1]
     if _NARROWEST_MM <= wide <= _WIDEST_MM:
         return []
@@ -29,7 +29,8 @@ def of_frames(frames: int) -> list[str]:
 
 
 def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
-    """Return warnings for real and gross contact areas (frames,), mm^2, NaN in unusable frames.
+    """Return warnings for contact areas (frames,) mm^2, NaN if unusable: real area above gross area, or jumps of the
+    latter.
 
     `view_area` is the area of the view, mm^2.
     """
@@ -56,7 +57,7 @@ def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, firs
 
 
 def of_points(found: int, asked: int, min_distance_px: float, region_px: int) -> list[str]:
-    """Return a warning if far fewer points were found than requested, in a region of `region_px` pixels."""
+    """Return a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
     if found >= _FEW_FOUND * asked:
         return []
     # Upper bound of the number of points: one in each square of side `min_distance_px`.
@@ -75,7 +76,7 @@ def of_points(found: int, asked: int, min_distance_px: float, region_px: int) ->
 
 
 def of_tracking(share: Series, first_frame: int) -> list[str]:
-    """Return a warning for frames with a low share of tracked points (frames,); NaN where there are no points."""
+    """Return a warning for frames whose share (frames,) of tracked points is low; a share is NaN without points."""
     few = np.flatnonzero(share < _FEW_TRACKED)
     if not len(few):
         return []
@@ -86,7 +87,7 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
 
 
 def of_windows(share: Series, first_frame: int) -> list[str]:
-    """Return a warning for points whose window differs from the reference window.
+    """Return a warning for points whose window no longer matches the window in which they were seeded.
 
     `share` (frames,) is their share of the points, NaN without points.
     """
@@ -94,14 +95,14 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
     if not len(some):
         return []
     return [
-        f"points were followed to where their window differs from that in which they were chosen, in {len(some)} "
+        f"points were followed to where their window differs from that in which they were seeded, in {len(some)} "
         f"frames, the first is {some[0] + first_frame}, up to {np.max(share[some]):.1%} of them: their positions are "
         f"NaN there (status window_differs)"
     ]
 
 
 def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
-    """Return warnings for a gauge length that does not fit the point spacing or the contact.
+    """Return warnings if the gauge length is too short for the point spacing or longer than the contact is wide.
 
     `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
     diameter of the largest contact.

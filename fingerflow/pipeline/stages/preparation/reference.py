@@ -1,4 +1,4 @@
-"""Reference frame of displacement: `fields.reference` of a scene, resolved to a frame."""
+"""Reference frame of displacement: the setting `fields.reference` of a scene, resolved to a frame number."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ _ONSET = (
 
 
 class Reference(NamedTuple):
-    """Reference of displacement.
+    """Reference from which displacement counts.
 
     Attributes:
         frame: counted from 0 at the first selected frame; None for each point's own onset.
@@ -29,7 +29,7 @@ class Reference(NamedTuple):
     definition: str
 
     def attributes(self, first_frame: int) -> dict[str, str | int]:
-        """Return the attributes of a variable that depends on the reference.
+        """Return attributes that state the reference, for a variable that depends on it.
 
         `reference_frame` is the frame number in the file; it is left out for onsets.
         """
@@ -38,7 +38,7 @@ class Reference(NamedTuple):
 
 
 def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
-    """Return the frame that `fields.reference` names by a number or a time, or None for a word.
+    """Return the frame that the setting `fields.reference` states as a number or a time; None if it is a word.
 
     Frames count from 0 at the first selected frame; `times` (frames,) s. Raises FingerflowError for a frame outside the
     selection.
@@ -66,7 +66,7 @@ def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
 def reference_of(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
 ) -> Reference:
-    """Return the reference of a scene whose frames have `times` (frames,) s and a `status` of FRAME_STATUS.
+    """Return the displacement reference of a scene, given `times` (frames,) s and `status` (frames,) of its frames.
 
     Raises FingerflowError for a frame outside the selection or an unusable one.
     """

@@ -1,1 +1,1 @@
-"""Stick and slip regions of the contact."""
+"""Stages that find the stick and slip regions of the contact."""

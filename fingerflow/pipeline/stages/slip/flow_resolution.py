@@ -20,7 +20,8 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Flow measured for a displacement x^p beyond a border: a `models.partial_slip.stick_border.Seen`.
+    """Displacement that dense flow measures at a slip border, beyond which the true one is x^p at x mm: a
+    `models.partial_slip.stick_border.Seen`.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
@@ -47,7 +48,7 @@ class FlowResponse:
         self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the measured displacement, mm^p, at distances (K,) mm from the border.
+        """Return the displacement that the flow measures, mm^p, at signed distances (K,) mm beyond the border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
@@ -64,7 +65,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean excess (K,) px of the flow along an axis over the true displacement.
+    """Return the mean error (K,) px of the flow along an axis, on a picture with a known displacement.
 
     `distances` (K,) px are beyond the border.
     """

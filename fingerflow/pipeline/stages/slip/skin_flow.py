@@ -1,4 +1,4 @@
-"""Displacement of every pixel of the skin from a first picture through the following ones."""
+"""Displacement of every pixel of the skin from the first picture to each following one, by dense optical flow."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,7 +20,7 @@ _FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displaceme
 
 
 class FlowMotion(NamedTuple):
-    """Motion in a picture relative to the first one.
+    """Displacement of the skin from the first picture to a later one, with its variance.
 
     Attributes:
         displacement: (H, W, 2) px of the skin at each pixel of the first picture; NaN where the flow is rejected.
@@ -34,7 +34,7 @@ class FlowMotion(NamedTuple):
 
 
 class SkinFlow:
-    """Dense flow (`ops.dense_flow`) relative to the first picture, started from the motion in the two pictures before.
+    """Dense flow (`ops.dense_flow`) from the first picture to each later one, starting from the last two results.
 
     The smoothness is set for a slipping rim. With the default of `ops.dense_flow`, for a finger that widens evenly,
     errors on `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the slip region; with this one they are 0.05 to
@@ -70,7 +70,7 @@ class SkinFlow:
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
     def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
-        """Return the motion in the next picture.
+        """Return the motion of the skin between the first picture and the next picture of the series, `image`.
 
         Args:
             image: (1, 1, H, W).
@@ -122,7 +122,7 @@ class SkinFlow:
         return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
-        """Update the reference: `picture`, whose motion is `_known`, warped back to the first picture."""
+        """Replace the reference picture by `picture`, warped back to the first picture with its known motion."""
         known = np.isfinite(self._known.variance)
         y, x = np.indices(known.shape, dtype=np.float32)
         went = np.nan_to_num(self._known.displacement)
@@ -138,7 +138,7 @@ def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
 
 
 def _planes(field: Field, like: Tensor) -> Tensor:
-    """Return a field (H, W, 2) as a tensor (1, 2, H, W)."""
+    """Convert an array (H, W, 2) to a tensor (1, 2, H, W)."""
     return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 

@@ -1,4 +1,4 @@
-"""Grid of the contact for displacement and stick region: its cells, and a grid four times as fine."""
+"""Grids on the contact for displacement and stick region: cells, and a fine grid of four times their resolution."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ _FINE = 4  # fine positions along a cell: an area is then known to a thousandth 
 
 
 class SlipGrid:
-    """Skin on the cells of the contact region in the first frame.
+    """Cells that divide the contact region of the first frame, and interpolation of displacements of points to them.
 
     Sticking skin stays where it was in the first frame. So a cell of a later frame sticks if the skin that lay there at
     first sticks, and positions are the same in all frames.
@@ -55,33 +55,33 @@ class SlipGrid:
         )
 
     def displacement(self, moved: Array) -> Field:
-        """Return displacement (rows, columns, 2) mm from that (N, 2) of the points, NaN where lost; 0 if unknown."""
+        """Interpolate displacements (N, 2) mm of points, NaN if lost, to cells (rows, columns, 2); 0 if unknown."""
         result = np.zeros((*self.known.shape, 2), np.float32)
         result[self.known] = self._surface(moved)
         return result
 
     def fine(self, values: Field) -> Field:
-        """Return values of cells (rows, columns) or (rows, columns, C) on the fine grid, by linear interpolation."""
+        """Interpolate values of cells, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
         rows, columns = values.shape[:2]
         size = (columns * _FINE, rows * _FINE)
         result: Field = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)
         return result
 
     def fine_mask(self, cells: Mask) -> Mask:
-        """Return a mask of cells on the fine grid."""
+        """Convert a mask of cells to a mask on the fine grid."""
         return np.asarray(cells.repeat(_FINE, 0).repeat(_FINE, 1))
 
     def cells(self, fine: Mask) -> Mask:
-        """Return the cells of which half or more is in a fine mask."""
+        """Convert a mask on the fine grid to a mask of the cells of which it covers half or more."""
         rows, columns = self.known.shape
         return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
 
     def share(self, fine: Mask, region: Mask) -> float:
-        """Return the area of a fine mask over that of a region of cells."""
+        """Return the area of a mask on the fine grid, divided by the area of a region of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
     def covered(self, places: Array, region: Mask) -> Mask:
-        """Return which positions (N, 2) mm lie in a region of cells, (N,); False for NaN."""
+        """Return a mask (N,) of the positions (N, 2) mm that lie in a region of cells; False for NaN."""
         finite = np.isfinite(places).all(-1)
         at = np.rint((np.nan_to_num(places) - self.places[0, 0]) / (self.fine_mm * _FINE)).astype(int)
         inside = finite & (at >= 0).all(-1) & (at < np.array(region.shape[::-1])).all(-1)
@@ -89,5 +89,5 @@ class SlipGrid:
         return np.asarray(inside & region[row, column])
 
     def at_points(self, fine: NDArray[Any]) -> NDArray[Any]:
-        """Return fine values (N,) at the points' positions in the first frame."""
+        """Return the values (N,) of a fine grid at the positions of the points in the first frame."""
         return np.asarray(fine[self._row, self._column])

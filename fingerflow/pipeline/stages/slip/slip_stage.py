@@ -1,4 +1,4 @@
-"""Stick region of the contact, and the verdict on a trial of tangential loading."""
+"""Stick region of the contact in each frame, and classification of a trial of tangential loading."""
 
 import json
 import math
@@ -45,7 +45,8 @@ _LEAST_LIMIT = 2.0  # standard deviations of a displacement: below, one in twent
 
 
 class SlipStage(Stage):
-    """Stick region: the largest connected part of the gross contact whose skin has not slipped since the first frame.
+    """Stage that finds the stick region: the largest connected part of the gross contact that has not slipped since the
+    first frame.
 
     Displacement counts against the glass, which is at rest in the picture. [slip] criterion selects what sticks; d^2 is
     the area of the stick region over that of the contact:
@@ -124,7 +125,7 @@ class SlipStage(Stage):
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
-        """Accumulate the data for the fit of the border, and compute the share of the contact that is known."""
+        """Add a batch of frames to the fit of the stick border, and compute which share of the contact is tracked."""
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
@@ -143,34 +144,34 @@ class SlipStage(Stage):
                 self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return the measured displacement by distance, for a displacement that begins at a border."""
+        """Return a function that gives the measured (blurred) displacement at distances from a slip border."""
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        """Return displacements (n, ...) mm since the first frame, NaN where not known; here (n, N, 2) of the points."""
+        """Return the skin's displacement since the first frame, here (n, N, 2) mm of points; NaN where not known."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return a frame's displacement (N, 2) mm at the points' positions in the first frame."""
+        """Return the displacement in one frame of skin at the points' positions in the first frame, (N, 2) mm."""
         return motion
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
-        """Return a frame's displacement in cells (rows, columns, 2) mm."""
+        """Return the displacement in one frame at the cells of the contact, (rows, columns, 2) mm."""
         return grid.displacement(motion)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the present positions (K, 2) mm of skin whose displacement is known."""
+        """Return the positions (K, 2) mm in this frame of skin whose displacement is known."""
         places = grid.points + motion
         return np.asarray(places[np.isfinite(places).all(-1)])
 
     def _deviation_of(self, frame: int) -> float:
-        """Return the median standard deviation, px, of a component of a displacement."""
+        """Return the median standard deviation, px, of a displacement component in a frame."""
         if "position_std_px" not in self.results:
             return math.nan
         return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
-        """Return whether a contact reaches the edge of the view.
+        """Return whether a contact region reaches the edge of the view, so that part of the contact is not visible.
 
         The contact border is known to half of the ridge distance, so the region of a contact that is cut may end by as
         much before the edge.
@@ -211,13 +212,13 @@ class SlipStage(Stage):
             self.results.put(name, values)
 
     def _limit(self) -> float:
-        """Return the displacement, mm, below which skin counts as stuck; NaN where it is not known."""
+        """Return the displacement, mm, below which skin counts as stuck; NaN if the limit is not known."""
         if self._settings.criterion != "border":
             return self._settings.stuck_mm
         return math.nan if self._border is None else self._border.level
 
     def _find_stuck(self, first: int, end: int, grid: SlipGrid, criterion: "StuckBorder | Length") -> None:
-        """Find the stick region, and direction and speed of slip, in frames `first` to `end` - 1."""
+        """Find the stick region, and direction and speed of the slipping skin, in frames `first` to `end` - 1."""
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
@@ -253,7 +254,7 @@ class SlipStage(Stage):
         region: NDArray[np.bool_],
         grid: SlipGrid,
     ) -> None:
-        """Compute direction and speed of the skin that slips."""
+        """Compute the mean direction and speed of the slipping skin in one frame."""
         slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
             return
@@ -295,7 +296,7 @@ class SlipStage(Stage):
         return verdict
 
     def _warn_of_noise(self) -> None:
-        """Warn if noise of displacements reaches the limit, so that skin at rest would count as slipped."""
+        """Warn if the noise of displacements reaches the slip limit, so that skin at rest would count as slipped."""
         limit = self._limit()
         if self._border is not None and self._settings.criterion == "border":
             limit = self._border.followed
@@ -327,7 +328,7 @@ class SlipStage(Stage):
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Return the RMS (mm) of non-rigid displacement over the contact, and of its irrotational and solenoidal parts."""
+    """Return RMS values (mm) over the contact of non-rigid displacement and its irrotational and solenoidal parts."""
     places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
@@ -339,7 +340,7 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the fit, marked as not identified where its curve loses adhesion at another T/N than the trial."""
+    """Return the friction fit, marked as not identified if its curve loses adhesion at another T/N than the trial."""
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))
@@ -353,7 +354,7 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can represent: None for NaN."""
+    """Convert a value for JSON, with None for NaN."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,1 +1,1 @@
-"""Soft sensors with printed markers."""
+"""Stages for soft sensors with printed markers."""

@@ -14,7 +14,7 @@ _REST = {"reference_position": "position at rest", "displacement": "displacement
 
 
 class MarkerDisplacementStage(DisplacementStage):
-    """Displacement of markers from the gel at rest, touched or not.
+    """Stage that measures the displacement of all markers since the gel was at rest, in contact or not.
 
     The gel is elastic and has a shape of its own. A marker that is not wholly in view at rest has a position but no
     displacement.

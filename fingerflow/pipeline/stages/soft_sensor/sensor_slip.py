@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class SensorSlipStage(Stage):
-    """Share of the contact that has slipped, and flag of gross slip.
+    """Stage that measures which share of the markers in contact has slipped, and flags gross slip.
 
     Where the object sticks, the gel under it moves with it as a rigid body. The slip ratio is the share of the markers
     in contact whose displacement since they were touched differs from the best rigid motion by more than
@@ -83,7 +83,7 @@ class SensorSlipStage(Stage):
 
 
 def _springs_back(before: Array, now: Array, spacing: float) -> bool:
-    """Return whether markers lose much of their displacement (N, 2) mm from one frame to the next."""
+    """Return whether the gel springs back: markers lose much of their displacement (N, 2) mm within one frame."""
     known = np.isfinite(before).all(-1) & np.isfinite(now).all(-1)
     if known.sum() < 2:
         return False

@@ -1,1 +1,1 @@
-"""Strain and strain energy of the triangles between points."""
+"""Stages that compute strain and strain energy of the triangles between points."""

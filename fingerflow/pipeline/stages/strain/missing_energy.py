@@ -1,23 +1,23 @@
-"""Error of the strain energy by triangles in contact that are not known."""
+"""Error of the strain energy that results from triangles in contact whose strain is not known."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 class MissingEnergy:
-    """Error of the energy by triangles in contact that are not known; frames must come in the order of time.
+    """Estimator of the energy error by unknown triangles in contact; frames must be given in order of time.
 
     Unknown triangles count with the mean density of the others (`ops.fields.triangle_strain`), but their last known
     density was different. A point that is lost for a frame has some six triangles: on a slide up to 2 % of the energy.
     """
 
     def __init__(self, areas: NDArray[np.floating]) -> None:
-        """Store the `areas` (M,) mm^2 of the triangles at the reference."""
+        """Store the reference `areas` (M,) mm^2 of the triangles."""
         self._area = areas
         self._last = np.zeros(len(areas))  # last known energy of each per depth
 
     def see(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the error (n,) mJ/mm, from the density (n, M) mJ/mm^3 of triangles in contact, NaN where not known."""
+        """Return the energy error (n,) mJ/mm of n frames, from energy densities (n, M) mJ/mm^3, NaN if not known."""
         result, energies = np.zeros(len(density)), density * self._area
         known = np.isfinite(energies)
         seen, lost = in_contact & known, in_contact & ~known

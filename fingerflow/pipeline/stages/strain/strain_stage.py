@@ -27,7 +27,8 @@ _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 
 
 class StrainStage(Stage):
-    """Strain on the Delaunay triangles of the reference positions; advected skin has its own triangles (`CountedSkin`).
+    """Stage that computes strain and energy on Delaunay triangles of reference positions; `CountedSkin` adds advected
+    skin.
 
     The energy is that of the skin in contact: of triangles that have touched as a whole and have two or more corners in
     the contact now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted.
@@ -114,7 +115,7 @@ class StrainStage(Stage):
         self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu().numpy(), missing), of_border)
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return sums (n, M, ...) over the corners of triangles, of values (n, N, ...) at points.
+        """Sum values at points (n, N, ...) over the three corners of each triangle, as (n, M, ...).
 
         Corners are added one by one, as sums over an axis of three take longer.
         """
@@ -140,7 +141,7 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return the `SharedErrors` of the triangles.
+    """Return the correlations of tracking errors between corners of the triangles, as `SharedErrors`.
 
     Tracking errors come from pixel noise in a window and correlate by the share that two windows have in common: on a
     press correlations are 0.2, 0.4 and 0.6 to 0.75 where the share is a fifth, two fifths and two thirds. Half of a

@@ -1,1 +1,1 @@
-"""Points of the skin through all frames, and where new ones are seeded."""
+"""Stages that track points of the skin through all frames and decide where new points are seeded."""

@@ -1,4 +1,4 @@
-"""Detection of skin that comes into contact without points, as it lay outside the region in which points were seeded.
+"""Detection of skin in contact that has no points, because it lay outside the region in which points were seeded.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 
 class Known(NamedTuple):
-    """Points in the present frame.
+    """Positions of all tracked points in the current frame and at their seeding.
 
     Attributes:
         place: (N, 2) px of the topographic view, measured or expected position.
@@ -53,7 +53,7 @@ class NewSkin:
         self._before: tuple[Points, Points] | None = None  # positions (N, 2) and centre of contact, at the last call
 
     def begin(self, contact: NDArray[np.floating], place: Points) -> None:
-        """Store the positions (N, 2) px of the topographic view at which points were seeded.
+        """Store the positions (N, 2) px of the topographic view at which the first points were seeded.
 
         `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
@@ -62,7 +62,7 @@ class NewSkin:
             self._before = self._on_contact(place), self._middle(touching)
 
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
-        """Return the mask (h, w) of the topographic view in which to seed points in this frame, or None.
+        """Return the mask (h, w) of the topographic view in which new points should be seeded; None if none are needed.
 
         Points are needed where new skin is in contact, or will be before the next call but one if points and contact
         keep their speeds. It must lie farther than half a window from any point, over an area of at least a window.
@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of cells that touch or may soon touch, with no point (N, 2) within `far`.
+        """Return the flattened mask of contact cells, present or soon expected, with no point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -149,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return whether skin at (K, 2) px of the contact view lay outside the seeding region of its nearest point."""
+        """Return a mask (K,) of positions (K, 2) px of the contact view whose skin was not in the seeding region."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -180,6 +180,6 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Return px along an axis of the centre of every `_STEP`-th cell."""
+    """Convert numbers of sampled cells, every `_STEP`-th one, to the px coordinate of their centres along an axis."""
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

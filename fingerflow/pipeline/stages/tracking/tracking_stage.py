@@ -30,7 +30,7 @@ MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a
 
 
 class TrackingStage(Stage):
-    """Tracking of points from frame to frame, forward or backward in time.
+    """Stage that tracks points from frame to frame, forward or backward in time.
 
     With key frames every frame is compared with the first one, whose template is deformed by the motion gradient found
     so far: errors do not accumulate. With the previous frame as template they do.
@@ -93,7 +93,7 @@ class TrackingStage(Stage):
             self._create(0)
 
     def step(self, batch: Batch) -> Any:
-        """Track points through these frames, in the given order; unusable frames are skipped."""
+        """Track all points through a batch of frames, in the given order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
@@ -108,7 +108,7 @@ class TrackingStage(Stage):
                 self._pass_over(indices)
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Skip unusable frames: the expected positions of points move on with their speed."""
+        """Skip unusable frames; each point's expected position moves on with its last speed."""
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -182,7 +182,8 @@ class TrackingStage(Stage):
         return self._add(image, points, np.zeros(0, np.intp))
 
     def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
-        """Add points seeded in an image, guided by earlier points of indices `numbers`; return them (1, N) there.
+        """Register newly seeded points, guided by the earlier points `numbers`; return their results (1, N) in this
+        image.
 
         `more` are the positions of the earlier points, and the motion of the new ones.
         """
@@ -195,7 +196,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Return points seeded in new skin of an image (1, 1, h, w), or None; `found` (1, N) holds the other points."""
+        """Seed points in new skin of an image (1, 1, h, w); return them or None. `found` (1, N) has earlier points."""
         if self._full:
             return None
         assert self._new_skin is not None
@@ -226,20 +227,20 @@ class TrackingStage(Stage):
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
         if points + more == MOST_SEEDED * self._settings.points:
-            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been chosen"
+            why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
         try:
             self.results.check_room(size_of_results(given, len(self.trial), more))
         except NoRoomError as error:
             why, more = str(error), 0
         if why:
             self._full = True
-            self.warnings.append(f"no more points are chosen where skin comes into contact: {why}")
+            self.warnings.append(f"no more points are seeded where skin comes into contact: {why}")
         if more:
             self.results.grow("point", points + more, {"status": TrackStatus.NOT_SEEDED_YET})
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
-        """Return the picture in which Willemet et al. (2021, figure S3 B) seed points.
+        """Return the image with enhanced contrast in which Willemet et al. (2021, figure S3 B) seed points.
 
         It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
         others 0.0282, and as many lie on dust.
@@ -253,7 +254,7 @@ class TrackingStage(Stage):
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
     def _where(self) -> NDArray[np.bool_]:
-        """Return the seeding region (h, w) bool.
+        """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
         `stream.region`, so that a stream seeds the same points. Otherwise it is the contact region found by `begin`.
@@ -277,7 +278,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Return points that are seeded (1, N) in the last of so many frames as values in all of these frames."""
+    """Extend results (1, N) of points seeded in the last frame of a batch to all frames of it, with NaN before."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan

@@ -1,0 +1,25 @@
+"""Tables of scene files as values by dotted keys, "tracking.points", and back."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield values with their dotted keys."""
+    for name, value in tables.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{place}{name}.")
+        else:
+            yield f"{place}{name}", value
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables from values by dotted keys."""
+    tables: dict[str, Any] = {}
+    for dotted, value in values.items():
+        place = tables
+        *above, last = dotted.split(".")
+        for name in above:
+            place = place.setdefault(name, {})
+        place[last] = value
+    return tables

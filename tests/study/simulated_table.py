@@ -1,0 +1,131 @@
+"""A table of trials with known truth, without recordings, for the statistics alone.
+
+Divergence is that of the skin chain at the friction of a condition and the softness of a participant, times a factor
+per participant, plus variation from trial to trial. The true values of the statistics follow by integration:
+`truth_of`.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.stats import norm
+
+from fingerflow.models.skin_chain import press
+from fingerflow.models.skin_parameters import named
+from fingerflow.study.simulated import Design, Values, answers_of
+
+_LOAD_N = 3.0
+_POINTS = 4001  # of the integrals, over eight deviations beyond the means
+
+
+@dataclass(frozen=True)
+class TableDesign(Design):
+    """Design of a simulated study, and how divergence varies.
+
+    Attributes:
+        own: standard deviation of a participant's factor.
+        spread: standard deviation of a trial's divergence around that of its participant and condition.
+    """
+
+    friction: tuple[float, float] = (0.9, 0.03)
+    softness: tuple[float, float] = (1.0, 2.2)
+    criterion: float = 0.022
+    noise: float = 0.006
+    own: float = 0.03
+    spread: float = 0.003
+
+    @cached_property
+    def divergences(self) -> Values:
+        """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
+        friction = torch.from_numpy(self.frictions)
+        found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in self.softness]
+        return np.asarray(torch.stack(found))
+
+
+@dataclass(frozen=True)
+class ObserverTruth:
+    """True statistics of the whole population, as `fingerflow.models.observer` defines them."""
+
+    d_prime: float
+    auc: float
+    criterion: float
+    share_correct: float
+
+
+def truth_of(design: TableDesign) -> ObserverTruth:
+    """Compute the true statistics by integration.
+
+    f(x) is the density of the divergence over all trials, a mixture of Gaussians, and h(x) = Phi((x - criterion) /
+    noise) the probability of the answer. Correct trials have the density f h / P and incorrect ones f (1 - h) / (1 -
+    P), P the integral of f h.
+    """
+    means = design.divergences.ravel()
+    deviations = np.hypot(design.own * means, design.spread)
+    soft = design.is_soft().mean()
+    weights = np.repeat([1 - soft, soft], len(design.amplitudes)) / len(design.amplitudes)
+    reach = 8 * deviations.max()
+    x = np.linspace(means.min() - reach, means.max() + reach, _POINTS)
+    density = (weights[:, None] * norm.pdf(x, means[:, None], deviations[:, None])).sum(0)
+    answers = norm.cdf((x - design.criterion) / design.noise)
+    share = float(np.trapezoid(density * answers, x))
+    correct, incorrect = density * answers / share, density * (1 - answers) / (1 - share)
+    (mean_1, variance_1), (mean_0, variance_0) = (_moments(x, one) for one in (correct, incorrect))
+    step = x[1] - x[0]
+    below_1, below_0 = (np.cumsum((one[1:] + one[:-1]) / 2) * step for one in (correct, incorrect))
+    return ObserverTruth(
+        d_prime=(mean_1 - mean_0) / np.sqrt((variance_1 + variance_0) / 2),
+        auc=float(np.trapezoid(correct[1:] * below_0, x[1:])),
+        criterion=float(np.interp(0.25, below_1, x[1:])),
+        share_correct=share,
+    )
+
+
+def simulate_table(design: TableDesign) -> dict[str, Any]:
+    """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
+
+    Strain and its energy follow the divergence with added noise, so they predict the answer less well. Global
+    displacement, force angle, areas, curl, rates and force are independent of it.
+    """
+    draw = np.random.default_rng(design.seed)
+    who, condition, trial = (
+        one.ravel()
+        for one in np.meshgrid(
+            np.arange(design.participants), np.arange(len(design.amplitudes)), np.arange(design.trials), indexing="ij"
+        )
+    )
+    count = who.size
+    factor = 1 + design.own * draw.standard_normal(design.participants)
+    mean = design.divergences[design.is_soft().astype(int)[who], condition]
+    divergence = mean * factor[who] + design.spread * draw.standard_normal(count)
+    answer = answers_of(design, divergence, draw)
+    force = draw.normal(5.5, 1.0, count).clip(1.0)
+    return {
+        "participant": np.array([f"{number + 1:02d}" for number in range(design.participants)])[who],
+        "trial": condition * design.trials + trial + 1,
+        "condition": np.asarray(design.amplitudes)[condition],
+        "answer": answer,
+        "status": np.full(count, "measured"),
+        "divergence": divergence,
+        "strain": 0.5 * divergence + draw.normal(0, 2 * design.spread, count),
+        "strain_rate": draw.normal(0.1, 0.03, count),
+        "strain_energy": 0.5 * (divergence / 0.03) ** 2 + draw.normal(0, 0.3, count),
+        "strain_energy_rate": draw.normal(1.0, 0.3, count),
+        "curl": draw.normal(0, 0.002, count),
+        "global_displacement": np.abs(draw.normal(0, 0.06, count)),
+        "force_angle": np.abs(draw.normal(0.1, 0.05, count)),
+        "max_force": force,
+        "time_to_max_force": draw.normal(1.47, 0.39, count).clip(0.2),
+        "duration": draw.normal(1.8, 0.3, count).clip(0.5),
+        "force_rate": draw.normal(3.6, 1.5, count).clip(0.3),
+        "max_displacement": draw.normal(0.25, 0.05, count).clip(0.01),
+        "real_contact_area": draw.normal(45, 6, count) * np.cbrt(force / 5.5),
+        "gross_contact_area": draw.normal(90, 10, count) * np.cbrt(force / 5.5),
+    }
+
+
+def _moments(x: Values, density: Values) -> tuple[float, float]:
+    mean = float(np.trapezoid(density * x, x))
+    return mean, float(np.trapezoid(density * (x - mean) ** 2, x))
