@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
@@ -19,7 +20,6 @@ Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
-_NORMAL_95 = 1.959964
 _BINS = 8  # with equally many trials
 
 #: Metrics that figures and statistics use, columns of the table of trials.
@@ -258,7 +258,8 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
     """Return the 95 % Wilson score interval of a share, which stays within 0 and 1.
 
     The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
-    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish 1965).
+    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
+    1965). The quantile is Student's with P - 1 degrees of freedom.
     """
     n, share = float(answers.size), float(answers.mean())
     _, own = np.unique(participant, return_inverse=True)
@@ -266,9 +267,9 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
     if apart.size > 1 and 0 < share < 1:
         effect = apart.size / (apart.size - 1) * float(apart @ apart) / (n * share * (1 - share))
         n /= max(effect, 1.0)
-    z2 = _NORMAL_95**2
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))
+    z = float(stats.t.ppf(0.975, max(apart.size - 1, 1)))
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    reach = z / (1 + z**2 / n) * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n * n)))
     return middle - reach, middle + reach
 
 

@@ -64,7 +64,7 @@ def test_an_influence_that_is_none(axes: Axes, trials: Trials) -> None:
 
 
 def test_intervals_of_shares_hold_the_truth_of_participants_who_differ() -> None:
-    """12 participants, whose own shares are spread from 0.2 to 1; trials as independent would hold it in two thirds."""
+    """12 participants, whose own shares are spread from 0.2 to 1; trials as independent would hold it in three quarters."""
     inside = alone = 0
     for seed in range(300):
         draw = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def test_intervals_of_shares_hold_the_truth_of_participants_who_differ() -> None
         (low, high), (first, last) = metrics._wilson(answers, who), metrics._wilson(answers, np.arange(120))
         inside += low <= 0.6 <= high
         alone += first <= 0.6 <= last
-    assert 0.9 <= inside / 300 <= 0.98
+    assert 0.92 <= inside / 300 <= 0.98
     assert alone / 300 < 0.88
 
 
