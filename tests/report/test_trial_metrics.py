@@ -64,7 +64,7 @@ def test_an_influence_that_is_none(axes: Axes, trials: Trials) -> None:
 
 
 def test_intervals_of_shares_hold_the_truth_of_participants_who_differ() -> None:
-    """12 participants, whose own shares are spread from 0.2 to 1; trials as independent would hold it in three quarters."""
+    """12 participants, whose own shares are spread from 0.2 to 1; independent trials would hold it in 3 of 4."""
     inside = alone = 0
     for seed in range(300):
         draw = np.random.default_rng(seed)
