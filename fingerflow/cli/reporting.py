@@ -104,10 +104,14 @@ def figures(
             "of any with _difference behind its name, comparison less reference."
         ),
     ] = None,
+    yes_no: Annotated[
+        bool, typer.Option("--yes-no", help="Fit the guess rate of figure S12 C; 0.5, of a forced choice, without it.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
+    from fingerflow.models.observer import FORCED_CHOICE, YES_NO
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.report.trials_file import load_trials
     from fingerflow.report.tribometer import read_tribometer
@@ -118,6 +122,7 @@ def figures(
     sources = Sources(
         tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
         trials=None if trials is None else load_trials(trials),
+        design=YES_NO if yes_no else FORCED_CHOICE,
     )
     written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
     facts = [

@@ -2,6 +2,9 @@
 
 The plate's ultrasonic vibration is modulated with a 4 Hz sinusoid while a finger slides back and forth. An epoch is a
 half period in which the envelope rises and the finger moves from right to left throughout. The coefficient is |T| / N.
+
+A sinusoid dwells at its ends: in the bin from 0 to 1/6 of its range half the samples lie below 0.044 of it, not 0.083.
+Each sample of a bin therefore counts by |da/dt| of the sinusoid a(t), so that every amplitude counts alike.
 """
 
 import math
@@ -24,8 +27,8 @@ class FrictionEpochs:
     start: Tensor  # (E,) int64, first sample
     stop: Tensor  # (E,) int64, one past the last sample
     edges: Tensor  # (A + 1,) m of amplitude
-    median: Tensor  # (E, A) of T / N
-    spread: Tensor  # (E, A) interquartile range of T / N
+    median: Tensor  # (E, A) of |T| / N, every amplitude of the bin counting alike
+    spread: Tensor  # (E, A) interquartile range of |T| / N, likewise
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -73,26 +76,32 @@ def friction_epochs(
     width = max(1, min(round(half / step / _PARTS / 2), (len(at) - 1) // 2))
     sliding = savgol_filter(place, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
     first, last = [], []
-    for begin in _rises(at, height, modulation_hz):
+    rises, speed = _rises(at, height, modulation_hz)
+    for begin in rises:
         start, stop = np.searchsorted(at, (begin - 1e-6 * half, begin + half * (1 + 1e-6)))
         if begin >= at[0] - step / 2 and begin + half <= at[-1] + step / 2 and sliding[start:stop].all():
             first.append(start)
             last.append(stop)
     bins = np.searchsorted(edges.numpy(), height, side="right") - 1
-    values = [
-        [ratio[start:stop][(bins[start:stop] == k) & np.isfinite(ratio[start:stop])] for k in range(len(edges) - 1)]
+    kept = [
+        [
+            start + np.flatnonzero((bins[start:stop] == k) & np.isfinite(ratio[start:stop]))
+            for k in range(len(edges) - 1)
+        ]
         for start, stop in zip(first, last, strict=True)
     ]
     shape = (len(first), len(edges) - 1)
-    quartiles = [[_quartiles(value) for value in row] for row in values]
+    quartiles = [[_quartiles(ratio[some], speed[some]) for some in row] for row in kept]
     of = torch.tensor(quartiles, dtype=torch.float64).reshape(*shape, 2)
-    count = torch.tensor([[len(value) for value in row] for row in values], dtype=torch.int64).reshape(shape)
+    count = torch.tensor([[len(some) for some in row] for row in kept], dtype=torch.int64).reshape(shape)
     begins, ends = (torch.tensor(list(map(int, indices)), dtype=torch.int64) for indices in (first, last))
     return FrictionEpochs(begins, ends, edges, of[..., 0], of[..., 1], count)
 
 
-def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
-    """Return the times (s) at which a sinusoid fitted to the vibration amplitude begins to rise."""
+def _rises(
+    time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return when (s) a sinusoid fitted to the vibration amplitude begins to rise, and (T,) its relative |da/dt|."""
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -105,19 +114,26 @@ def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency:
         )
     lowest = (math.atan2(sine, cosine) + math.pi) % (2 * math.pi)  # of cos(phase - angle)
     periods = np.arange(-1, phase[-1] / (2 * np.pi) + 1)
-    return np.asarray(time[0] + (lowest / (2 * np.pi) + periods) / frequency)
+    return time[0] + (lowest / (2 * np.pi) + periods) / frequency, np.abs(np.sin(phase - lowest))
 
 
-def _quartiles(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the median and the interquartile range; NaN without values."""
-    if not len(values):
+def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the weighted median and interquartile range; NaN without weight.
+
+    A value stands at the middle of its weight in the distribution; between values the quantile is linear.
+    """
+    order = np.argsort(values)
+    until = weights[order].cumsum()
+    if not (until.size and until[-1] > 0):
         return math.nan, math.nan
-    low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
+    share = (until - weights[order] / 2) / until[-1]
+    low, middle, high = np.interp((0.25, 0.5, 0.75), share, values[order])
     return float(middle), float(high - low)
 
 
 def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    rows = [_quartiles(column[np.isfinite(column)]) for column in values.T.numpy()]
+    columns = [column[np.isfinite(column)] for column in values.T.numpy()]
+    rows = [_quartiles(column, np.ones(len(column))) for column in columns]
     of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
     return of[:, 0], of[:, 1], values.isfinite().sum(0)
 

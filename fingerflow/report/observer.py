@@ -27,7 +27,7 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
             x = np.linspace(middles[0], middles[-1], 300)
             curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, label=name)
-    axes.set_title(f"d' = {observer.d_prime:.2f}")
+    axes.set_title(f"d' = {observer.d_prime:.2f}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
     return finished(axes)
 
 
@@ -36,7 +36,12 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     axes.plot([0, 1], [0, 1], "--", color=GREY, linewidth=0.8)
     colours = colormaps["viridis"](np.linspace(0, 0.9, max(len(observers), 1)))
     for (name, observer), colour in zip(observers.items(), colours, strict=False):
-        axes.plot(observer.false_alarms, observer.hits, color=colour, label=f"{name} ({observer.auc:.2f})")
+        axes.plot(
+            observer.false_alarms,
+            observer.hits,
+            color=colour,
+            label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})",
+        )
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
     finished(axes)
     axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
@@ -67,7 +72,9 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
             density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
             axes.plot(x, share * density * known.size * (edges[1] - edges[0]), color=colour)
         axes.axvline(groups.border, color=INK, linestyle=":")
-        axes.set_title(f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}")
+        axes.set_title(
+            f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants"
+        )
     axes.set(xlabel=quantity, ylabel="participants")
     return finished(axes)
 
@@ -83,7 +90,7 @@ def draw_psychometric(
     """
     for (name, (where, answers, trials, fit)), colour in zip(curves.items(), (INK, RED, GREEN, GREY), strict=False):
         x, share = np.asarray(where, dtype=float), np.asarray(answers, dtype=float) / np.asarray(trials, dtype=float)
-        axes.plot(x, share, "o", color=colour, markersize=4, label=name)
+        axes.plot(x, share, "o", color=colour, markersize=4, label=f"{name}, {fit.trials} trials")
         if np.isfinite(fit.threshold):
             fine = np.linspace(x.min(), x.max(), 300)
             axes.plot(fine, fit(fine), color=colour)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
+from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
 from fingerflow.schema.trial_columns import NUMBERS
 
@@ -63,7 +63,10 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA."""
+    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
+
+    Participants are the units of the intervals and a random effect of the ANOVA.
+    """
     values = _shown(trials, metric)
     known = np.isfinite(values)
     if known.any():
@@ -73,12 +76,10 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
         middles = np.array([np.median(values[known][group]) for group in groups])
-        counts = ((int(answers[group].sum()), int(group.sum())) for group in groups)
-        limits = np.array([stats.binomtest(*count).proportion_ci(method="wilson") for count in counts]).T
+        limits = np.array([_wilson(answers[group], trials.participant[known][group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
-    test = one_way_anova(values, trials.answer)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
-    axes.set_title(f"ANOVA {_p(test.p)}, {int(known.sum())} trials", fontsize="medium")
+    axes.set_title(_of_anova(repeated_anova(values, trials.answer, trials.participant)), fontsize="medium")
     return finished(axes)
 
 
@@ -100,6 +101,9 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
         axes.bar(np.arange(len(conditions)) + 0.27 * (number - 1), shares, 0.25, color=colour, label=name)
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
     axes.set_yticks(np.linspace(0, 1, 6))
+    axes.set_title(
+        f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants", fontsize="medium"
+    )
     finished(axes)
     axes.legend(frameon=False, fontsize="small", title=label_of(metric), title_fontsize="small", ncols=3)
     return axes
@@ -130,12 +134,11 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
             mean, deviation = own.mean(), own.std(ddof=1)
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
         axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
-    test = one_way_anova(values, trials.condition)
+    test = repeated_anova(values, trials.condition, trials.participant)
     label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
-    if np.isfinite(test.f):
-        axes.set_title(f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}", fontsize="medium")
+    axes.set_title(_of_anova(test), fontsize="medium")
     return finished(axes)
 
 
@@ -148,14 +151,15 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     values = _shown(trials, metric)
     conditions, _ = _conditions(trials)
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
-    medians, shares, condition = dots_of(trials, values)
+    medians, shares, condition, who = dots_of(trials, values)
     for index, colour in enumerate(colours):
         own = condition == index
         axes.plot(medians[own], shares[own], "o", color=colour, markersize=4, label=conditions[index])
-    found = spearman(medians, shares)
+    found = spearman(medians, shares, participants=who)
     axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
-    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
+    size = f"{found.trials} dots of {found.participants} participants"
+    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}", fontsize="medium")
     return finished_beside(axes, AMPLITUDE)
 
 
@@ -177,15 +181,15 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
     """Draw figure S13 C: median curl against median divergence of each trial, one colour a participant."""
-    found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"))
+    found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
     low, high = found.interval
     axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
     axes.set_title(f"r = {found.value:.2f} ({low:.2f} to {high:.2f}), {found.trials} trials", fontsize="medium")
     return finished(axes)
 
 
-def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp]]:
-    """Return median, share of answers and index of the condition of each participant in each condition.
+def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
+    """Return median, share of answers, index of the condition and participant, of each participant in each condition.
 
     Pairs without a known value are left out.
     """
@@ -195,9 +199,9 @@ def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.
         for index in range(len(conditions)):
             own = (place == index) & (trials.participant == participant) & np.isfinite(values)
             if own.any():
-                dots.append((float(np.median(values[own])), float(trials.answer[own].mean()), index))
-    medians, shares, condition = zip(*dots, strict=True) if dots else ((), (), ())
-    return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp)
+                dots.append((float(np.median(values[own])), float(trials.answer[own].mean()), index, participant))
+    medians, shares, condition, who = zip(*dots, strict=True) if dots else ((), (), (), ())
+    return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp), np.array(who)
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
@@ -248,6 +252,33 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
         if known.size and np.median(known) > 0:
             scaled[own] = values[own] / np.median(known)
     return scaled
+
+
+def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
+    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1.
+
+    The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
+    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
+    1965). The quantile is Student's with P - 1 degrees of freedom.
+    """
+    n, share = float(answers.size), float(answers.mean())
+    _, own = np.unique(participant, return_inverse=True)
+    apart = np.bincount(own, answers - share)
+    if apart.size > 1 and 0 < share < 1:
+        effect = apart.size / (apart.size - 1) * float(apart @ apart) / (n * share * (1 - share))
+        n /= max(effect, 1.0)
+    z = float(stats.t.ppf(0.975, max(apart.size - 1, 1)))
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    reach = z / (1 + z**2 / n) * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n * n)))
+    return middle - reach, middle + reach
+
+
+def _of_anova(test: Anova) -> str:
+    """Return F with its degrees of freedom, p by participants, and the numbers of trials and participants."""
+    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
+    if np.isnan(test.f):
+        return f"no F, {size}"
+    return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
 
 
 def _p(value: float) -> str:

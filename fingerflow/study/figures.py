@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
+from fingerflow.models.observer import FORCED_CHOICE
 from fingerflow.plot.axes_style import finished
 from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
 from fingerflow.report.trial_metrics import AMPLITUDE, finished_beside
@@ -30,7 +31,9 @@ _AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which show
 _MOST_NAMED = 12  # most conditions in a legend
 
 
-def write_figures(frame: Any, sample: Sample, curves: Any, folder: Path) -> list[tuple[str, str, tuple[str, ...]]]:
+def write_figures(
+    frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE
+) -> list[tuple[str, str, tuple[str, ...]]]:
     """Write the figures of a study as PNG; return for each its name, its file ("" if not drawn), and what was left out.
 
     Args:
@@ -38,6 +41,7 @@ def write_figures(frame: Any, sample: Sample, curves: Any, folder: Path) -> list
         sample: of it.
         curves: the table of averaged curves.
         folder: created if missing.
+        design: of the experiment, a name in `GUESSES`.
 
     Raises FingerflowError if a file cannot be written.
     """
@@ -51,7 +55,7 @@ def write_figures(frame: Any, sample: Sample, curves: Any, folder: Path) -> list
                 area: own.loc[places, f"{area}_at_3n"].to_numpy(float) for area in _AREAS if f"{area}_at_3n" in own
             }
             trials = replace(trials, metrics={**trials.metrics, **at_3n})
-        sheet = FIGURES[name](Sources(trials=trials))
+        sheet = FIGURES[name](Sources(trials=trials, design=design))
         of_answers = _OF_ANSWERS.get(name, "")
         dropped = [] if sample.answered or of_answers == "" else [of_answers or "all"]
         panels = [

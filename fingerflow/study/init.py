@@ -174,6 +174,7 @@ def _manifest_text(shared: Mapping[str, Any]) -> str:
 [study]
 trials = "trials.csv"         # a row a trial; a column with a dot, such as tracking.points, is a key of the scene
 results = "results"           # where results, the table of trials and the pages go
+# design = "yes/no"           # of answers to one stimulus; "forced choice" between two where there is none
 
 """
     if shared:

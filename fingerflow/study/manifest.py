@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
+from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.schema.trial_columns import OF_RESULTS
@@ -23,7 +24,7 @@ RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
 )  # fmt: skip
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
-_STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers")
+_STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
 _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 
@@ -58,6 +59,7 @@ class Manifest:
     results: Path
     shared: Mapping[str, Any]
     trials: tuple[TrialEntry, ...]
+    design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial; raise FingerflowError with row, key, value and remedy if it is invalid."""
@@ -79,6 +81,7 @@ def load_manifest(path: str | Path) -> Manifest:
         # pattern = "{participant}/{condition}um/{trial}.cine"     in place of the table
         # forces = "{participant}/{condition}um/{trial}.csv"       beside each recording of the pattern
         results = "results"
+        # design = "yes/no"               "forced choice" where there is none
 
         [scene.views.contact]             # and so on: what a scene file has, for all trials
         ...
@@ -107,6 +110,9 @@ def load_manifest(path: str | Path) -> Manifest:
     for key, value in study.items():
         if not isinstance(value, str) or not value:
             raise FingerflowError(f"{path}: study.{key} is {value!r}; give a path or a pattern in quotes")
+    design = study.get("design", FORCED_CHOICE)
+    if design not in GUESSES:
+        raise FingerflowError(f"{path}: study.design is {design!r}; give {' or '.join(map(repr, GUESSES))}")
     if ("trials" in study) == ("pattern" in study):
         raise FingerflowError(f"{path}: [study] needs one of trials (a CSV file) and pattern (over file names)")
     if "forces" in study and "pattern" not in study:
@@ -121,7 +127,7 @@ def load_manifest(path: str | Path) -> Manifest:
     if "answers" in study:
         _add_answers(rows, path.parent / study["answers"])
     results = (path.parent / study.get("results", "results")).resolve()
-    return Manifest(path, results, shared, _entries(rows, places, path))
+    return Manifest(path, results, shared, _entries(rows, places, path), design)
 
 
 def relative(path: Path, folder: Path) -> str:

@@ -66,7 +66,7 @@ def write_study_report(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
     failed = [said for said in written if said]
-    figures = write_figures(frame, sample, curves, manifest.results / "figures")
+    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design)
     statistics = statistics_of(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
     write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))

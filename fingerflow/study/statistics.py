@@ -1,13 +1,16 @@
 """Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
 
-import warnings
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import (
+    Correlation,
     Trials,
     compare_auc,
     leave_out_moved,
@@ -17,6 +20,7 @@ from fingerflow.models.observer import (
     participant_groups,
     pearson,
     read_trials,
+    repeated_anova,
     spearman,
 )
 from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
@@ -25,6 +29,7 @@ from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.trial_files import MEASURED
 
 _FIRST = "divergence"  # the metric that the others are compared with
+_LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force rate changes answers
 
 
 @dataclass(frozen=True)
@@ -71,15 +76,18 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     """Compute all statistics as plain numbers, for `statistics.json` and the page.
 
     - `counted`: numbers of trials, left out by each rule and used.
-    - `by_condition`, `by_answer`: a one-way ANOVA of each metric over conditions and over answers.
+    - `by_condition`, `by_answer`: an ANOVA of each metric over conditions and over answers, participants being random;
+      `as_printed` is the one-way ANOVA of the paper, which takes trials as independent.
     - `shares`: Spearman's coefficient between medians and shares of answers, one dot per participant and condition.
     - `correlations`: Pearson's, of strain, strain energy and curl with divergence.
-    - `force_rate`: a mixed model of the rate by condition, one intercept per participant (needs numeric conditions).
-    - `observer`: d', area under the ROC, criterion for 75 % hits, and their intervals by participant, without trials of
-      fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same trials.
+    - `force_rate`: the mixed model of the answer by the rate at amplitudes up to 2 µm (needs numeric conditions).
+    - `observer`: d', area under the ROC, criterion for 75 % hits in `unit`, and their intervals by participant, without
+      trials of fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same
+      trials.
     - `groups`: one or two groups of participants by their median divergence.
 
-    `by_answer`, `shares` and `observer` exist only with answers.
+    Participants are the units of every interval and p. `p_holm` is p corrected for the metrics of its table (Holm
+    1979). `by_answer`, `shares`, `force_rate` and `observer` exist only with answers.
 
     Args:
         sample: of `sample_of`.
@@ -88,33 +96,65 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     trials = sample.trials
     found: dict[str, Any] = {
         "counted": asdict(sample.counted),
-        "by_condition": {name: one_way_anova(values, trials.condition) for name, values in trials.metrics.items()},
-        "correlations": {
-            name: pearson(trials.metrics[_FIRST], trials.metrics[name])
-            for name in ("strain", "strain_energy", "curl")
-            if name in trials.metrics and _FIRST in trials.metrics
-        },
-        "force_rate": _of_force_rate(trials),
+        "by_condition": _anovas(trials, trials.condition),
+        "correlations": _corrected(
+            {
+                name: pearson(trials.metrics[_FIRST], trials.metrics[name], participants=trials.participant)
+                for name in ("strain", "strain_energy", "curl")
+                if name in trials.metrics and _FIRST in trials.metrics
+            }
+        ),
         "groups": _groups(trials, resamples),
     }
     if sample.answered:
-        found["by_answer"] = {name: one_way_anova(values, trials.answer) for name, values in trials.metrics.items()}
-        found["shares"] = {name: spearman(*dots_of(trials, values)[:2]) for name, values in trials.metrics.items()}
+        found["by_answer"] = _anovas(trials, trials.answer)
+        found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in trials.metrics.items()})
+        found["force_rate"] = _of_force_rate(trials)
         found["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(found)
     return plain
 
 
+def holm(p: Mapping[str, float]) -> dict[str, float]:
+    """Return p-values corrected for their number: in rising order p_k becomes the largest (m + 1 - i) p_i of i <= k.
+
+    The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays,
+    and does not count.
+    """
+    known = sorted((value, name) for name, value in p.items() if math.isfinite(value))
+    scaled = [(len(known) - place) * value for place, (value, _) in enumerate(known)]
+    corrected = np.minimum(np.maximum.accumulate(scaled), 1.0).tolist() if scaled else []
+    return dict.fromkeys(p, math.nan) | {name: value for (_, name), value in zip(known, corrected, strict=True)}
+
+
+def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the fields of the tests of a table, with `p_holm`."""
+    corrected = holm({name: test.p for name, test in tests.items()})
+    return {name: {**asdict(test), "p_holm": corrected[name]} for name, test in tests.items()}
+
+
+def _anovas(trials: Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
+    found = _corrected(
+        {name: repeated_anova(values, groups, trials.participant) for name, values in trials.metrics.items()}
+    )
+    for name, values in trials.metrics.items():
+        found[name]["as_printed"] = asdict(one_way_anova(values, groups))
+    return found
+
+
 def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
     without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
+    shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
+    summaries = observe(replace(without, metrics=shown), resamples=resamples)
+    permutations = _corrected({name: summary.permutation for name, summary in summaries.items()})
     found = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
-    for name, summary in observe(without, resamples=resamples).items():
+    for name, summary in summaries.items():
         found[name] = {
             "d_prime": summary.d_prime,
             "auc": summary.auc,
-            "criterion": summary.criterion,
-            "permutation": summary.permutation,
+            "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
+            "permutation": permutations[name],
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
@@ -124,19 +164,18 @@ def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
+def _of_shares(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+    medians, shares, _, who = dots_of(trials, values)
+    return spearman(medians, shares, participants=who)
+
+
 def _of_force_rate(trials: Trials) -> Any:
     if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
         return {"reason": "needs the rate of the force and conditions that are numbers"}
-    table = {
-        "participant": trials.participant,
-        "condition": trials.condition.astype(float),
-        "force_rate": trials.metrics["force_rate"],
-    }
-    try:
-        with warnings.catch_warnings(record=True):  # the result reports whether it converged
-            return mixed_model(table, "force_rate ~ condition")
-    except (FingerflowError, ValueError, np.linalg.LinAlgError) as error:
-        return {"reason": f"the model cannot be fitted: {error}"}
+    asked = trials.condition <= _LARGEST_AMPLITUDE
+    rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
+    found = mixed_model(rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked])
+    return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 
 def _groups(trials: Trials, resamples: int) -> Any:

@@ -95,7 +95,7 @@ def test_the_ideal_observer(axes: Axes) -> None:
     assert axes.patches[0].get_data().values.sum() == 400
     roc = Figure().subplots()
     observer.draw_roc(roc, {"divergence": found})
-    assert texts(roc) == {f"divergence ({found.auc:.2f})"}
+    assert texts(roc) == {f"divergence ({found.auc:.2f}, n 600)"}
     table = Figure().subplots()
     estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), resamples=100)
     observer.draw_estimates(table, {"divergence": estimate}, "area under the ROC", 0.5)
@@ -116,5 +116,5 @@ def test_groups_and_their_psychometric_curves(axes: Axes) -> None:
     fit = observing.fit_psychometric(x, answers, trials, guess=0.5)
     curves = Figure().subplots()
     observer.draw_psychometric(curves, {"softer": (x, answers, trials, fit)}, "amplitude (µm)")
-    assert texts(curves) == {"softer"}
+    assert texts(curves) == {"softer, 200 trials"}
     np.testing.assert_allclose(curves.lines[1].get_ydata()[[0, -1]], fit([0, 3]))

@@ -76,7 +76,7 @@ def truth_of(design: TableDesign) -> ObserverTruth:
     step = x[1] - x[0]
     below_1, below_0 = (np.cumsum((one[1:] + one[:-1]) / 2) * step for one in (correct, incorrect))
     return ObserverTruth(
-        d_prime=abs(mean_1 - mean_0) / np.sqrt((variance_1 + variance_0) / 2),
+        d_prime=(mean_1 - mean_0) / np.sqrt((variance_1 + variance_0) / 2),
         auc=float(np.trapezoid(correct[1:] * below_0, x[1:])),
         criterion=float(np.interp(0.25, below_1, x[1:])),
         share_correct=share,

@@ -87,12 +87,23 @@ def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> 
         changed.scene_of(changed.trials[6])
 
 
+def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: Path) -> None:
+    assert study.design == "forced choice"
+    edit(lab / "study.toml", ('trials = "trials.csv"', 'trials = "trials.csv"\ndesign = "yes/no"'))
+    assert load_manifest(lab).design == "yes/no"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ("[study]", "[studies]", "studies is not a key; did you mean 'study'"),
         ('trials = "trials.csv"', 'trails = "trials.csv"', "study.trails is not a key; did you mean 'trials'"),
         ('trials = "trials.csv"', "trials = 3", "study.trials is 3"),
+        (
+            'trials = "trials.csv"',
+            'trials = "trials.csv"\ndesign = "2afc"',
+            "study.design is '2afc'; give 'forced choice' or",
+        ),
         ('trials = "trials.csv"', "", "one of trials"),
         ("[study]", "[study", "is not valid TOML"),
     ],

@@ -1,24 +1,21 @@
 """Ideal observer: how well a trial's metric predicts what participants felt (Willemet et al. 2021, supplement)."""
 
+from fingerflow.models.observer.anova import Anova, one_way_anova, repeated_anova
 from fingerflow.models.observer.discrimination import auc, compare_auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
 from fingerflow.models.observer.groups import Groups, participant_groups
+from fingerflow.models.observer.mixed_model import MixedModel, mixed_model
 from fingerflow.models.observer.permutation import PermutationTest, permutation_test
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
-from fingerflow.models.observer.psychometric import PsychometricFit, fit_psychometric
-from fingerflow.models.observer.relations import (
-    Anova,
-    Correlation,
-    MixedModel,
-    mixed_model,
-    one_way_anova,
-    pearson,
-    spearman,
-)
+from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES, YES_NO, PsychometricFit, fit_psychometric
+from fingerflow.models.observer.relations import Correlation, pearson, spearman
 from fingerflow.models.observer.summary import MetricSummary, observe
 from fingerflow.models.observer.trials_table import Trials, leave_out_moved, read_trials
 
 __all__ = [
+    "FORCED_CHOICE",
+    "GUESSES",
+    "YES_NO",
     "Anova",
     "Correlation",
     "Estimate",
@@ -43,5 +40,6 @@ __all__ = [
     "permutation_test",
     "printed_observer",
     "read_trials",
+    "repeated_anova",
     "spearman",
 ]

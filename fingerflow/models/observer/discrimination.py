@@ -20,10 +20,11 @@ def d_prime(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the sensitivity d' = |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
+    """Estimate the sensitivity d' = (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
 
-    Means and variances (with n - 1) are those of the trials; the paper takes both from Gaussians fitted to a histogram
-    (`printed_observer`). The interval is that of the signed difference, folded: it starts at 0 if it contained 0.
+    d' is negative where correct trials have the smaller metric, as the area under the ROC is then below 1/2. Means and
+    variances (with n - 1) are those of the trials; the paper takes both from Gaussians fitted to a histogram
+    (`printed_observer`).
 
     Args:
         correct, incorrect: (n,) the metric in correct and incorrect trials, any unit; NaN is left out and counted.
@@ -40,13 +41,9 @@ def d_prime(
     """
 
     def of(values: list[Values]) -> Statistic:
-        return lambda first, second: _signed_d_prime(values, first, second)
+        return lambda first, second: _d_prime(values, first, second)
 
-    estimate = _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
-    low, high = estimate.interval
-    folded = (0.0 if low <= 0 <= high else min(abs(low), abs(high)), max(abs(low), abs(high)))
-    interval = estimate.interval if math.isnan(low) else folded
-    return Estimate(**{**vars(estimate), "value": abs(estimate.value), "interval": interval})
+    return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
 
 
 def auc(
@@ -163,7 +160,7 @@ def _estimate(
     return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
 
 
-def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Values:
+def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
     variance = (deviation(values[0], first) ** 2 + deviation(values[1], second) ** 2) / 2
     return (mean(values[0], first) - mean(values[1], second)) / np.sqrt(variance)
 

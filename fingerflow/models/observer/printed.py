@@ -31,7 +31,7 @@ class PrintedObserver:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
         bins: (K + 1,) edges of the normalised metric; `counts_correct` and `counts_incorrect` (K,) trials between them.
         correct, incorrect: Gaussians fitted to those counts.
-        d_prime: |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2).
+        d_prime: (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2), negative where correct trials have the smaller metric.
         criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
         auc: area under it, by the trapezoidal rule.
         criterion: value, in the metric's own unit, that 75 % (`hits`) of the correct trials' Gaussian exceed.
@@ -91,7 +91,7 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
     gaussians = [_fit_gaussian(bins, count) for count in counts]
     variance = (gaussians[0].deviation ** 2 + gaussians[1].deviation ** 2) / 2
-    sensitivity = abs(gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
+    sensitivity = (gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
     criteria = np.arange(min(every.min(), 0) - _STEP, max(every.max(), 1) + 2 * _STEP, _STEP)
     above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
     return PrintedObserver(

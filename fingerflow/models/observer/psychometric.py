@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +12,14 @@ from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, xlog1py,
 from scipy.stats import chi2
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
+from fingerflow.models.observer.jackknife import jackknifed
 
 Values = NDArray[np.float64]
 
+#: Guess rate by design of the experiment. Of two intervals that feel alike the right one is named every second time;
+#: the share of "yes" without a stimulus is the participant's own, and fitted.
+FORCED_CHOICE, YES_NO = "forced choice", "yes/no"
+GUESSES = {FORCED_CHOICE: 0.5, YES_NO: None}
 _FEWEST_STIMULI = 3
 _LARGEST_RATE = 0.5  # of lapses and of guesses that are fitted
 _RATE_PRIOR = (1.0, 10.0)  # Beta (Schuett et al. 2016): lapses and guesses are likely few
@@ -67,21 +73,24 @@ def fit_psychometric(
     share: float = 0.75,
     guess: float | None = None,
     level: float = 0.95,
+    participants: ArrayLike | None = None,
 ) -> PsychometricFit:
     """Fit P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers.
 
     Counts follow a beta-binomial distribution: blocks of trials at one stimulus differ by more than chance, because
     attention varies. The fit maximises the posterior, with weak priors on lapse and guess and the overdispersion
     integrated out. The interval of the threshold holds every threshold whose profile of that posterior is within
-    chi^2 / 2 of the maximum, so it contains the estimate.
+    chi^2 / 2 of the maximum, so it contains the estimate. Blocks of one participant share a threshold of their own:
+    with participants the interval is Student's, by the jackknife over them.
 
     Args:
         stimulus: (K,) of each block of trials; a stimulus may come in several blocks.
         answers: (K,) number of answers of the counted kind, as "the comparison is more slippery".
         trials: (K,) number of trials, 1 at least.
         share: of answers at the threshold.
-        guess: fixed, as 0.5 for the choice between two equal alternatives; fitted where None.
+        guess: `GUESSES` of the design: 0.5 of a forced choice between two intervals; None, fitted, of yes and no.
         level: of the interval.
+        participants: (K,) of the blocks; blocks are independent where None.
 
     Returns:
         `PsychometricFit`; NaN with the reason where there are fewer than three stimuli or the answers do not change.
@@ -110,13 +119,21 @@ def fit_psychometric(
     threshold, width, fitted_guess, lapse = posterior.parameters(best)
     if not posterior.rises(best):
         return nothing("the answers do not change with the stimulus: no width is better than an infinite one")
-    allowed = posterior(best) + float(chi2.ppf(level, 1)) / 2
-    profile = posterior.profile(best)
-    low, high = (_limit(profile, best[0], allowed, side) for side in (-1, 1))
-    unit, origin = posterior.unit, posterior.origin
+    reason = ""
+    if participants is None:
+        allowed = posterior(best) + float(chi2.ppf(level, 1)) / 2
+        profile = posterior.profile(best)
+        low, high = (_limit(profile, best[0], allowed, side) for side in (-1, 1))
+        interval = posterior.origin + posterior.unit * low, posterior.origin + posterior.unit * high
+    else:
+        who = np.asarray(participants).reshape(-1)
+        if who.size != x.size:
+            raise ValueError(f"{who.size} participants of {x.size} blocks: name that of every block")
+        without = [posterior.threshold_of(who != name, best) for name in np.unique(who)]
+        interval, _, reason = jackknifed(threshold, without, level)
     return PsychometricFit(
         threshold=threshold,
-        interval=(origin + unit * low, origin + unit * high),
+        interval=interval,
         width=width,
         guess=fitted_guess,
         lapse=lapse,
@@ -125,7 +142,7 @@ def fit_psychometric(
         stimuli=stimuli,
         share=share,
         level=level,
-        reason="",
+        reason=reason,
     )
 
 
@@ -188,6 +205,12 @@ class _Posterior:
             for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
             for slope in (size, -size)
         ]
+
+    def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
+        """Return the threshold of a part of the blocks, in the units of the data, searched from given parameters."""
+        part = copy(self)
+        part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
+        return self.parameters(part._minimised(near, 0))[0]
 
     def rises(self, values: Values) -> bool:
         """Return True if the curve changes by more than 0.01 over the range of the stimuli, up or down."""

@@ -6,7 +6,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from fingerflow.models.observer import Trials, fit_psychometric, leave_out_moved, observe, participant_groups
+from fingerflow.models.observer import (
+    GUESSES,
+    Trials,
+    fit_psychometric,
+    leave_out_moved,
+    observe,
+    participant_groups,
+)
 from fingerflow.models.observer.trials_table import COLUMNS
 from fingerflow.report.observer import draw_counts, draw_estimates, draw_groups, draw_psychometric, draw_roc
 from fingerflow.report.press_field import draw_curl_map, draw_median_curl
@@ -78,7 +85,7 @@ def individual_performance(sources: Sources) -> Sheet:
     elif np.unique(trials.condition).size < _FEWEST_AMPLITUDES:
         left_out.append(f"C needs {_FEWEST_AMPLITUDES} amplitudes in the column condition or more")
     else:
-        panels.append(SheetPanel.of_axes("C", _draw_curves, parts))
+        panels.append(SheetPanel.of_axes("C", _draw_curves, parts, GUESSES[sources.design]))
     return Sheet("S12", tuple(panels), tuple(left_out))
 
 
@@ -94,14 +101,20 @@ def curl(sources: Sources) -> Sheet:
     return Sheet("S13", (*panels, SheetPanel.of_axes("C", draw_curl_against_divergence, sources.trials)))
 
 
-def _draw_curves(axes: Axes, parts: dict[str, Trials]) -> None:
+def _draw_curves(axes: Axes, parts: dict[str, Trials], guess: float | None) -> None:
     curves = {}
     for name, trials in parts.items():
         amplitudes, place = np.unique(trials.condition.astype(np.float64), return_inverse=True)
-        answers = np.bincount(place, weights=trials.answer)
-        counts = np.bincount(place)
-        # Between two stimuli that feel alike, every second answer is right by chance.
-        curves[name] = (amplitudes, answers, counts, fit_psychometric(amplitudes, answers, counts, guess=0.5))
+        who, person = np.unique(trials.participant, return_inverse=True)
+        block = person * amplitudes.size + place
+        answers, counts = (
+            np.bincount(block, weights, who.size * amplitudes.size).reshape(who.size, amplitudes.size)
+            for weights in (trials.answer, None)
+        )
+        person, place = np.nonzero(counts)
+        blocks = amplitudes[place], answers[person, place], counts[person, place]
+        fit = fit_psychometric(*blocks, guess=guess, participants=who[person])
+        curves[name] = (amplitudes, answers.sum(0), counts.sum(0), fit)
     draw_psychometric(axes, curves, AMPLITUDE)
 
 

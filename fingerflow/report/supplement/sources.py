@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from fingerflow.models.friction_epochs import FrictionEpochs
-from fingerflow.models.observer import Trials
+from fingerflow.models.observer import FORCED_CHOICE, Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
 from fingerflow.report.strains_at_depth import Depth, look_under
@@ -19,10 +19,11 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the figures: a tribometer trace and a table of trials, each or None; all others are simulated."""
+    """Inputs of the figures: a tribometer trace and a table of trials with its design; the others are simulated."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
+    design: str = FORCED_CHOICE  # a name in GUESSES
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:

@@ -1,14 +1,12 @@
-"""Groups of participants, correlations, analysis of variance, the mixed model."""
+"""Groups of participants, correlations, analysis of variance."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import mixed_model, one_way_anova, participant_groups, pearson, spearman
+from fingerflow.models.observer import one_way_anova, participant_groups, pearson, repeated_anova, spearman
 
 
 def test_two_groups_are_found() -> None:
@@ -108,29 +106,66 @@ def test_one_way_analysis_of_variance() -> None:
     assert math.isnan(one_way_anova([], []).f)
 
 
-def test_the_mixed_model_separates_participants_from_the_effect() -> None:
-    pytest.importorskip("statsmodels", reason="statsmodels is the extra `study`")
-    draw = np.random.default_rng(7)
-    who = np.repeat(np.arange(24), 20)
-    amplitude = draw.uniform(0, 3, who.size)
-    rate = 10 + 2 * amplitude + 3 * draw.standard_normal(24)[who] + draw.standard_normal(who.size)
-    rate[:3] = np.nan
-    unused = np.full(len(who), np.nan)  # a column whose name is a part of another one's leaves no row out
-    found = mixed_model({"participant": who, "amplitude": amplitude, "rate": rate, "amp": unused}, "rate ~ amplitude")
-    assert found.converged
-    assert found.effects["amplitude"] == pytest.approx(2, abs=0.2)
-    assert found.intervals["amplitude"][0] < 2 < found.intervals["amplitude"][1]
-    assert found.p["amplitude"] < 1e-6
-    assert found.between == pytest.approx(3, abs=1.2)
-    assert found.within == pytest.approx(1, abs=0.1)
-    assert (found.trials, found.participants, found.missing) == (477, 24, 3)
-    with pytest.raises(FingerflowError, match="1 participants with whole rows"):
-        mixed_model({"participant": np.zeros(9), "x": np.arange(9.0), "y": np.arange(9.0)}, "y ~ x")
-    with pytest.raises(FingerflowError, match="no column participant"):
-        mixed_model({"x": np.arange(9.0), "y": np.arange(9.0)}, "y ~ x")
+def test_repeated_measures_by_hand() -> None:
+    """Two groups are the paired t test; three are the two-way analysis of the participants' means."""
+    draw = np.random.default_rng(8)
+    who, group = np.repeat(np.arange(6), 4), np.tile([0, 0, 1, 1], 6)
+    values = draw.standard_normal(24) + 3 * draw.standard_normal(6)[who] + group
+    means = values.reshape(6, 2, 2).mean(2)
+    paired = stats.ttest_rel(means[:, 1], means[:, 0])
+    found = repeated_anova(values, group, who)
+    assert (found.f, found.p) == pytest.approx((paired.statistic**2, paired.pvalue))
+    assert (found.degrees, found.participants, found.trials) == ((1, 5), 6, {"0": 12, "1": 12})
+    shifted = repeated_anova(values + 100 * who, group, who)
+    assert shifted.p == pytest.approx(found.p), "a participant's level does not count"
+    gaps = np.where((who == 2) & (group == 1), np.nan, values)
+    kept = who != 2
+    without = repeated_anova(gaps, group, who)
+    assert (without.p, without.missing) == (pytest.approx(repeated_anova(values[kept], group[kept], who[kept]).p), 4)
 
 
-def test_without_statsmodels_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "statsmodels.formula.api", None)
-    with pytest.raises(FingerflowError, match=r"fingerflow-engine\[study\]"):
-        mixed_model({"participant": [1, 2], "y": [1.0, 2.0]}, "y ~ 1")
+def test_repeated_measures_are_those_of_statsmodels() -> None:
+    pytest.importorskip("statsmodels", reason="statsmodels is the extra `dev`")
+    pandas = pytest.importorskip("pandas")
+    from statsmodels.stats.anova import AnovaRM
+
+    draw = np.random.default_rng(9)
+    who, group = np.repeat(np.arange(7), 8), np.tile(np.repeat(np.arange(4), 2), 7)
+    values = draw.standard_normal(56) + 2 * draw.standard_normal(7)[who] + 0.4 * group
+    table = pandas.DataFrame({"y": values, "who": who, "group": group})
+    reference = AnovaRM(table, "y", "who", ["group"], aggregate_func="mean").fit().anova_table
+    found = repeated_anova(values, group, who)
+    assert found.f == pytest.approx(reference["F Value"].iloc[0])
+    assert found.degrees == (reference["Num DF"].iloc[0], reference["Den DF"].iloc[0])
+    assert 1 / 3 <= found.epsilon <= 1
+    assert found.p >= reference["Pr > F"].iloc[0]
+
+
+def test_repeated_measures_that_cannot_be_formed() -> None:
+    for values, groups, who, reason in (
+        ([1.0, 2.0], [0, 1], ["a", "a"], "2 groups, 1 participants with trials in each"),
+        ([1.0, 2.0], [0, 0], ["a", "b"], "1 groups, 2 participants"),
+        ([1.0, 2.0, 2.0, 3.0], [0, 1, 0, 1], ["a", "a", "b", "b"], "do not vary over participants"),
+        ([], [], [], "0 groups"),
+        ([math.nan] * 2, [0, 1], ["a", "b"], "0 groups"),
+    ):
+        found = repeated_anova(values, groups, who)
+        assert math.isnan(found.f)
+        assert reason in found.reason
+    with pytest.raises(ValueError, match="2 values in 1 groups"):
+        repeated_anova([1.0, 2.0], [0, 1], ["a"])
+
+
+def test_correlations_of_few_participants() -> None:
+    x = np.arange(6.0)
+    two = pearson(x, x**2, participants=[0, 0, 0, 1, 1, 1])
+    assert two.value == pytest.approx(stats.pearsonr(x, x**2).statistic)
+    assert math.isnan(two.p)
+    assert "no interval from 2 participants: 3 are needed" in two.reason
+    draw = np.random.default_rng(10)
+    y = x + 3 * draw.standard_normal(6)
+    three = spearman(x, y, participants=[0, 0, 1, 1, 2, 2])
+    assert three.interval[0] < three.value < three.interval[1]
+    assert three.participants == 3
+    with pytest.raises(ValueError, match="1 participants of 6 pairs"):
+        pearson(x, x, participants=[1])

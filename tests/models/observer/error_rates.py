@@ -1,0 +1,145 @@
+"""Error rates of the tests, by simulation: `python -m tests.models.observer.error_rates` prints all, with statsmodels'.
+
+Participants differ: in how they press, in how well they answer (both together), and in the slope of their answers
+against the rate where `own_slope` is not 0. Without an effect the mean slope is 0.
+"""
+
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fingerflow.models.observer import mixed_model, one_way_anova, pearson, repeated_anova, spearman
+
+Values = NDArray[np.float64]
+AMPLITUDES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+ALPHA = 0.05
+
+
+def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_slope: float = 0.3) -> dict[str, Any]:
+    """Return trials whose logit of a correct answer rises by `slope` (SD `own_slope`) per 2 N/s of the rate."""
+    draw = np.random.default_rng(seed)
+    who = np.repeat(np.arange(people), trials * AMPLITUDES.size)
+    amplitude = np.tile(np.repeat(AMPLITUDES, trials), people)
+    skill = draw.standard_normal(people)
+    speed = 0.7 * skill + 0.5**0.5 * draw.standard_normal(people)
+    rate = 3.6 + 1.5 * speed[who] + 2 * draw.standard_normal(who.size)
+    slopes = slope + own_slope * draw.standard_normal(people)
+    logit = 0.2 + 0.9 * amplitude + 0.8 * skill[who] + slopes[who] * (rate - 3.6 - 1.5 * speed[who]) / 2
+    answer = draw.random(who.size) < 1 / (1 + np.exp(-logit))
+    return {"metric": rate, "answer": answer, "condition": amplitude, "participants": who}
+
+
+def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2) -> dict[str, Any]:
+    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response."""
+    draw = np.random.default_rng(seed)
+    who, group = (
+        one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij")
+    )
+    place = group / (groups - 1) - 0.5
+    level, response = 2 * draw.standard_normal(people), effect + draw.standard_normal(people)
+    metric = level[who] + response[who] * place + draw.standard_normal(who.size)
+    return {"values": metric, "groups": group, "participants": who}
+
+
+def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tuple[Values, Values, NDArray[np.intp]]:
+    """Return 7 pairs of each participant, correlated by `effect` within and between participants (SD 1, `own`)."""
+    draw = np.random.default_rng(seed)
+    who = np.repeat(np.arange(people), 7)
+
+    def pair(size: int) -> tuple[Values, Values]:
+        first, other = draw.standard_normal((2, size))
+        return first, effect * first + (1 - effect**2) ** 0.5 * other
+
+    (between_x, between_y), (x, y) = pair(people), pair(who.size)
+    return own * between_x[who] + x, own * between_y[who] + y, who
+
+
+def counted(seed: int, guess: float | None, people: int = 8, trials: int = 14) -> tuple[dict[str, Any], float]:
+    """Return blocks of answers at 7 amplitudes, and the stimulus that all participants together answer in 75 %.
+
+    Thresholds are normal over participants, so the common curve is as wide as both spreads together. Without a guess
+    rate of the design a tenth of the answers is yes at no stimulus.
+    """
+    draw = np.random.default_rng(seed)
+    lowest = 0.1 if guess is None else guess
+    height = 1 - lowest - 0.03
+    middles = 1.3 + 0.4 * draw.standard_normal((people, 1))
+    stimuli = np.linspace(0, 3, 7)
+    answers = draw.binomial(trials, lowest + height * stats.norm.cdf((stimuli - middles) / 0.5))
+    blocks = {
+        "stimulus": np.tile(stimuli, people), "answers": answers.ravel(), "trials": np.full(answers.size, trials),
+        "participants": np.repeat(np.arange(people), 7),
+    }  # fmt: skip
+    return blocks, 1.3 + float(np.hypot(0.4, 0.5) * stats.norm.ppf((0.75 - lowest) / height))
+
+
+def share(p_of: Callable[[int], float], studies: int) -> float:
+    """Return the share of studies, one a seed, whose p is below 0.05."""
+    return float(np.mean([p_of(seed) < ALPHA for seed in range(studies)]))
+
+
+def of_statsmodels(table: dict[str, Any]) -> dict[str, float]:
+    """Return p of the rate by statsmodels: intercept and slope of each participant, amplitudes as fixed effects."""
+    import pandas as pd
+    from statsmodels.formula.api import mixedlm
+    from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
+
+    frame = pd.DataFrame(table).rename(columns={"participants": "who"})
+    frame["answer"] = frame["answer"].astype(float)
+    frame["own"] = frame["metric"] - frame.groupby("who")["metric"].transform("mean")
+    formula = "answer ~ own + C(condition)"
+    parts = {"intercept": "0 + C(who)", "slope": "0 + C(who):own"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plain = mixedlm(formula, frame, groups=frame["who"]).fit(reml=True)
+        slopes = mixedlm(formula, frame, groups=frame["who"], re_formula="~ own").fit(reml=True)
+        bayes = BinomialBayesMixedGLM.from_formula(formula, parts, frame).fit_map()
+    place = bayes.model.exog_names.index("own")
+    return {
+        "MixedLM, intercepts": float(plain.pvalues["own"]),
+        "MixedLM, intercepts and slopes": float(slopes.pvalues["own"]),
+        "BinomialBayesMixedGLM, intercepts and slopes": float(
+            2 * stats.norm.sf(abs(bayes.fe_mean[place] / bayes.fe_sd[place]))
+        ),
+    }
+
+
+def main(studies: int) -> None:
+    """Print the share of studies with p < 0.05."""
+    for people in (4, 16):
+        for slope, own in ((0.0, 0.0), (0.0, 0.3), (0.25, 0.0), (0.25, 0.3)):
+            tables = [answered(seed, people, slope=slope, own_slope=own) for seed in range(studies)]
+            found = np.mean([mixed_model(**table).p < ALPHA for table in tables])
+            print(f"mixed model: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
+        for groups in (2, 7):
+            for effect in (0.0, 1.0):
+                tables = [measured(seed, people, groups, effect) for seed in range(studies)]
+                own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
+                printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
+                found = f"{own_p:.3f}, one-way {printed:.3f}"
+                print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {found}", flush=True)
+        tables = [answered(seed, people, own_slope=0.0) for seed in range(studies)]
+        own_p = np.mean([repeated_anova(one["metric"], one["answer"], one["participants"]).p < ALPHA for one in tables])
+        printed = np.mean([one_way_anova(one["metric"], one["answer"]).p < ALPHA for one in tables])
+        print(f"ANOVA over answers: {people} participants, effect 0: {own_p:.3f}, one-way {printed:.3f}", flush=True)
+        for effect in (0.0, 0.5):
+            for kind in (pearson, spearman):
+                pairs = [related(seed, people, effect=effect) for seed in range(studies)]
+                own_p = np.mean([kind(x, y, participants=who).p < ALPHA for x, y, who in pairs])
+                alone = np.mean([kind(x, y).p < ALPHA for x, y, _ in pairs])
+                found = f"{own_p:.3f}, pairs as independent {alone:.3f}"
+                print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
+    for own in (0.0, 0.3):
+        several = [of_statsmodels(answered(seed, 16, own_slope=own)) for seed in range(min(studies, 120))]
+        for name in several[0]:
+            found = np.mean([one[name] < ALPHA for one in several])
+            print(f"{name}: 16 participants, slope 0 ± {own:g}: {found:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
