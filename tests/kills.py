@@ -34,11 +34,11 @@ import numpy as np
 import xarray as xr
 
 from fingerflow import cli, load_scene, open_stream
-from fingerflow import export as exporting
 from fingerflow import player as playing
 from fingerflow import report as reporting
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
+from fingerflow.export import write_bundle
 from fingerflow.recordings.guard.idle import IdleLimit
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources
@@ -187,7 +187,7 @@ def _make_small() -> None:
     supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
     sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
     patient_file._PATIENCE = 1.0  # s, not half a minute
-    exporting.bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has
+    write_bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has
     _ = playing, reporting, load_scene, load_bundle  # loaded here, once
 
 

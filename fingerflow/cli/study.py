@@ -103,3 +103,4 @@ def simulate(
         raise FingerflowError(f"{folder} exists already; name another folder")
     write_recordings(folder, Design(participants=participants, trials=trials, seed=seed))
     typer.echo(f"{folder} was written; then: fingerflow study init {folder} --answers {folder / 'answers.csv'}")
+    typer.echo('and set design = "yes/no" in its study.toml: the observer answers to one stimulus')
