@@ -1,4 +1,4 @@
-"""Export of recipes to deployment bundles: graphs as ONNX files, verified against torch, and the player."""
+"""Export of recipes to deployment bundles: ONNX graphs, verified against torch, and the player."""
 
 from fingerflow.export.graph_verification import Difference, as_text, verify
 from fingerflow.export.write_bundle import export_bundle

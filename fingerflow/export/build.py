@@ -1,4 +1,4 @@
-"""Graphs of a recipe: torch modules, with the names and units of all inputs and outputs."""
+"""Torch modules for the graphs of a recipe, with the names and units of all inputs and outputs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -70,21 +70,21 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Graph:
-    """Module that takes tensors by position and returns a tuple of tensors, with names for its inputs and outputs."""
+    """Graph for export: a torch module that maps tensors to a tuple of tensors, with names of inputs and outputs."""
 
     module: nn.Module
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
     def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Run the graph in torch by the portable form of every op: return its outputs by name for inputs by name."""
+        """Run the graph in torch with portable ops, from inputs by name to outputs by name."""
         with torch.inference_mode(), Portable():
             results = self.module(*(known[name] for name in self.inputs))
         return dict(zip(self.outputs, results, strict=True))
 
 
 class _Call(nn.Module):
-    """Module that wraps a function or module, and takes any number of tensors by position."""
+    """Torch module that wraps a function or module and passes tensors to it by position."""
 
     def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class _Call(nn.Module):
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """Build all graphs of a recipe in a valid order of execution, also those that it does not export.
+    """Build all graphs of a recipe in order of execution, including graphs that are not exported.
 
     Args:
         precision: replaces the recipe's.
@@ -119,7 +119,7 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 
 
 def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the descriptions of the graphs of the contact view: callable, inputs, outputs."""
+    """Return the callable, inputs and outputs of each graph of the contact view."""
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -136,7 +136,7 @@ def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the descriptions of the graphs of points in the topography view: callable, inputs, outputs."""
+    """Return the callable, inputs and outputs of each graph of tracked points in the topography view."""
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -205,7 +205,7 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_fields(recipe: Recipe) -> _Described:
-    """Return the descriptions of the graphs of fields, from displacements on the glass: callable, inputs, outputs."""
+    """Return the callable, inputs and outputs of each graph that computes fields from displacements on the glass."""
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -226,5 +226,5 @@ def _of_fields(recipe: Recipe) -> _Described:
 
 
 def _all_of(templates: Templates) -> tuple[Tensor, ...]:
-    """Return the tensors of templates as a tuple."""
+    """Return all tensors of `Templates` as a tuple, without None."""
     return tuple(one for one in templates if one is not None)

@@ -1,4 +1,4 @@
-"""Arguments of a graph call as a flat list: tensors with their names and axes of points, and other arguments."""
+"""Arguments of a graph call as a flat list of tensors and settings, with names and axes of points."""
 
 import inspect
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ Axis = int | None
 
 
 class GraphCall(NamedTuple):
-    """Arguments of a call of a module's method, flattened to leaves: tensors and settings.
+    """Arguments of a method call of a torch module, flattened to a list of tensors and settings.
 
     Attributes:
         names: of the leaves, such as "['templates'].start".
@@ -28,7 +28,7 @@ class GraphCall(NamedTuple):
 
     @classmethod
     def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "GraphCall":
-        """Flatten the arguments of a method call, with defaults for those not given."""
+        """Flatten the arguments of a method call, with default values for omitted arguments."""
         bound = inspect.signature(getattr(module, method)).bind(*arguments, **named)
         bound.apply_defaults()
         parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
@@ -42,17 +42,17 @@ class GraphCall(NamedTuple):
 
     @property
     def tensors(self) -> list[Tensor]:
-        """Return those arguments that are tensors, in order."""
+        """Return the arguments that are tensors, in the order of the flat list."""
         return [value for value in self.values if isinstance(value, Tensor)]
 
     @property
     def settings(self) -> list[Any]:
-        """Return all arguments in order, with None in place of tensors."""
+        """Return the flat list of arguments, with None in place of tensors."""
         return [None if isinstance(value, Tensor) else value for value in self.values]
 
     @property
     def tensor_axes(self) -> list[Axis]:
-        """Return, for each tensor argument, the axis along which points lie; None if there is none."""
+        """Return the axis of each tensor argument along which points lie, None for a tensor without such an axis."""
         return [axis for axis, value in zip(self.axes, self.values, strict=True) if isinstance(value, Tensor)]
 
     @property
@@ -62,7 +62,7 @@ class GraphCall(NamedTuple):
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for one recording of a batch: with its row of each batched tensor.
+        """Return the call for one recording of a batch, with one row of each batched tensor.
 
         Tensors (1, ...) serve all recordings.
         """
@@ -74,7 +74,7 @@ class GraphCall(NamedTuple):
         )
 
     def with_tensors(self, tensors: Sequence[Tensor]) -> dict[str, Any]:
-        """Return the arguments by name, with the tensors replaced by others in the same order."""
+        """Return the arguments by name, with `tensors` in place of the original tensors, in order."""
         others = iter(tensors)
         values = [next(others) if isinstance(value, Tensor) else value for value in self.values]
         arguments: dict[str, Any] = tree.tree_unflatten(values, self.structure)
@@ -82,7 +82,7 @@ class GraphCall(NamedTuple):
 
 
 def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
-    """Pad tensors along their axes of points to `room` points, with NaN, or 0 for integers."""
+    """Pad tensors along the axis of points to `room` points, with NaN or, for integers, with 0."""
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):
         if axis is None or tensor.shape[axis] == room:
@@ -104,7 +104,7 @@ def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
 
 
 def settings_of(module: nn.Module) -> list[Any]:
-    """Return the settings that distinguish modules of one class: attributes with plain values, and buffers."""
+    """Return the settings by which modules of one class can differ: attributes with plain values, and buffers."""
     found: list[Any] = []
     for name, part in module.named_modules():
         plain = {key: repr(value) for key, value in vars(part).items() if isinstance(value, int | float | str | None)}

@@ -1,4 +1,4 @@
-"""Expected results of the built-in test frame, which a bundle contains; torch computes them in float64."""
+"""Expected results of the built-in test frame of a bundle, computed by torch in float64."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ _DIGITS = 6
 
 
 def expected_numbers(recipe: Recipe) -> dict[str, Any]:
-    """Compute the expected results of the built-in frame, with its sizes, for `engines.check.check_engine`."""
+    """Compute the expected results and the sizes of the built-in test frame, for `engines.check.check_engine`."""
     views, own = recipe.views, recipe.tracking
     size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
     frame = built_in(**size, window_px=own.window_px)

@@ -1,4 +1,4 @@
-"""Selection of the portable implementation of every op, the one that is exported."""
+"""Choice of the portable implementation of every op, the implementation that is exported to ONNX."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Portable(TorchDispatchMode):
-    """Torch dispatch mode within which ops use their portable form; it changes nothing else.
+    """Torch dispatch mode in which ops use their portable implementation.
 
     Ops do so under any dispatch mode.
     """

@@ -1,4 +1,4 @@
-"""Recipe of a deployment bundle: the settings of its graphs, in a validated TOML file."""
+"""Recipe of a deployment bundle: settings of the exported graphs, in a validated TOML file."""
 
 import tomllib
 from pathlib import Path
@@ -23,13 +23,13 @@ Odd = Annotated[int, AfterValidator(_odd)]
 
 
 class _Table(BaseModel):
-    """Table of a recipe, with strict types: "700" and true are no numbers, 0.5 is no integer; integers are numbers."""
+    """Table of a recipe with strict types: text and booleans are not accepted as numbers, nor fractions as integers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class ViewRecipe(_Table):
-    """Settings [views] of a recipe: size of both views in px, bits of a pixel, and batch size.
+    """Settings [views] of a recipe: size of both views in px, bit depth, and batch size.
 
     Pixels are uint8 for 8 bits, else uint16.
     """
@@ -41,7 +41,7 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """Settings [contact] of a recipe, as in a scene, and whether the contact mask is an output."""
+    """Settings [contact] of a recipe: those of a scene file, and whether the contact mask is an output."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
     gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8
@@ -51,7 +51,7 @@ class ContactRecipe(_Table):
 
 
 class TrackingRecipe(_Table):
-    """Settings [tracking] of a recipe, as in a scene."""
+    """Settings [tracking] of a recipe, with the names and meanings of a scene file."""
 
     points: Annotated[int, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
@@ -62,13 +62,13 @@ class TrackingRecipe(_Table):
 
 
 class FieldsRecipe(_Table):
-    """Settings [fields] of a recipe, as in a scene."""
+    """Settings [fields] of a recipe, with the names and meanings of a scene file."""
 
     gauge_length_mm: Annotated[float, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):
-    """Settings [export] of a recipe: the graphs to export, and the precision of all operations but the median."""
+    """Settings [export] of a recipe: the graphs to export, and the precision of all operations except the median."""
 
     graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # TOML has lists only
     precision: Literal["float32", "float64"] = "float32"

@@ -1,4 +1,4 @@
-"""Execution of torch modules by ONNX Runtime, behind the interface of the modules."""
+"""Execution of torch modules by ONNX Runtime, through the unchanged interface of these modules."""
 
 import functools
 import hashlib
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class OnnxRuntime:
-    """Factory of module proxies, whose methods are executed by ONNX Runtime on the CPU.
+    """Factory of wrappers around torch modules, whose methods are executed by ONNX Runtime on the CPU.
 
     A method is exported when it is first called with tensors of new shapes. Batches are processed one recording at a
     time. Graphs are cached in a folder by settings, shapes and source code. The number of points does not need a new
@@ -55,11 +55,11 @@ class OnnxRuntime:
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
-        """Return a proxy of a torch module that executes its methods in ONNX Runtime."""
+        """Wrap a torch module so that ONNX Runtime executes the methods of the module."""
         return cast(M, _Executed(module, self))
 
     def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
-        """Open a session for a method and tensors of these shapes; export the graph first if it is not cached."""
+        """Open an ONNX Runtime session for a method and tensor shapes; export the graph first if it is not cached."""
         import onnxruntime
 
         file = self.folder / f"{self._name(leaves, tensors, inputs)}.onnx"
@@ -89,7 +89,7 @@ class OnnxRuntime:
         return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
-        """Return the cache key of a graph.
+        """Return the name under which a graph is cached.
 
         It depends on method, settings, shapes, other arguments, torch version and source hash.
         """
@@ -107,7 +107,7 @@ class OnnxRuntime:
 
 
 class _Executed:
-    """Proxy of a module: has its attributes, and executes its methods by ONNX Runtime."""
+    """Wrapper of a torch module, with the same attributes, that executes methods by ONNX Runtime."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
         self._module, self._runtime = module, runtime
@@ -168,12 +168,12 @@ class _Executed:
 
 
 def _room(points: int) -> int:
-    """Return the number of points to which the arguments of a call with `points` points are padded; 0 for none."""
+    """Return the number of points, a power of 2, to which tensors of `points` points are padded; 0 for none."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
 class _Leaves(nn.Module):
-    """Module that wraps a method for export: tensors of the arguments in, tensors of the result out, by position."""
+    """Torch module that wraps a method for ONNX export: takes tensors by position, and returns a tuple of tensors."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
@@ -181,7 +181,7 @@ class _Leaves(nn.Module):
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
 
     def result(self, *tensors: Tensor) -> Any:
-        """Call the method and return its result in its own structure."""
+        """Call the wrapped method and return the result as it is, not flattened to a tuple."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
@@ -191,7 +191,7 @@ class _Leaves(nn.Module):
 
 
 def _own_folder() -> Path:
-    """Return the user's cache folder among the temporary files; a new one if it belongs to another user."""
+    """Return the user's cache folder for graphs, or a new temporary folder if that one belongs to another user."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -200,7 +200,7 @@ def _own_folder() -> Path:
 
 @functools.cache
 def _code() -> str:
-    """Return a hash of the source code from which graphs are made."""
+    """Return a hash of the source code that determines the exported graphs."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
     for file in sorted(file for room in _SOURCES for file in (package / room).rglob("*.py")):

@@ -72,7 +72,7 @@ def standard_model(
 
 
 def _take_by_short_numbers(graph: Any) -> None:
-    """Let Gather nodes of an ONNX graph take int32 indices, without the cast to int64 that the exporter adds."""
+    """Let Gather nodes of an ONNX graph take int32 indices, by removing the exporter's cast to int64."""
     import onnx
 
     kinds = {value.name: value.type.tensor_type.elem_type for value in graph.value_info}
@@ -91,7 +91,7 @@ def _take_by_short_numbers(graph: Any) -> None:
 
 
 def need_packages() -> None:
-    """Raise FingerflowError if a package that exporting or running graphs needs is not installed."""
+    """Raise FingerflowError if a package for exporting or running graphs is not installed."""
     missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise FingerflowError(

@@ -1,4 +1,4 @@
-"""Test cases for exported graphs: the default synthetic press in the size of the recipe's views, and hard cases."""
+"""Test cases for exported graphs: a synthetic press at the size of the recipe's views, and hard cases."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -87,7 +87,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 
 
 def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
-    """Return the inputs of a test case, completed by those that other graphs compute; torch runs these graphs."""
+    """Complete the inputs of a test case by running, in torch, the graphs that compute the missing inputs."""
     known = dict(case.inputs)
     graphs = build(recipe)
     for name in ("light", "noise", "spline", "prepare"):
@@ -104,7 +104,7 @@ def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
 
 
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Select the inputs of one graph by name; graphs of the key frame get the key view."""
+    """Select the inputs of one graph by name; graphs that run on the key frame get the key view as topography view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
@@ -114,7 +114,7 @@ def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, T
 
 @lru_cache(maxsize=4)
 def _press(height: int, width: int, bit_depth: int) -> tuple[dict[str, Tensor], float]:
-    """Render images (H, W) of the default press, by input name; also return the size of a pixel in mm.
+    """Render the images (H, W) of the default synthetic press, by input name; also return the pixel size in mm.
 
     For smaller views the finger is scaled down.
     """
@@ -138,12 +138,12 @@ def _press(height: int, width: int, bit_depth: int) -> tuple[dict[str, Tensor], 
 
 
 def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return the elliptic radius (B, N) of points about the middle of the view, 1 at the middle of its sides."""
+    """Return the elliptic radius (B, N) of points: 0 at the middle of the view, 1 at the middle of each side."""
     return torch.hypot(2 * points[..., 0] / size[1] - 1, 2 * points[..., 1] / size[0] - 1)
 
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Create reference positions (B, N, 2) px for points; NaN outside the contact.
+    """Create reference positions (B, N, 2) px at contact onset for test points; NaN outside the contact.
 
     The contact reaches outer points last; since their onset, points have spread and turned by some per cent.
     """
@@ -154,7 +154,7 @@ def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _warp(points: Tensor) -> Tensor:
-    """Create deformation gradients (B, N, 2, 2) of some per cent that differ from point to point."""
+    """Create deformation gradients (B, N, 2, 2): the identity plus a few per cent that vary from point to point."""
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
     result: Tensor = torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
@@ -162,7 +162,7 @@ def _warp(points: Tensor) -> Tensor:
 
 
 def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, Tensor]:
-    """Return the contact ellipse for the test of fields: centre and semi-axes (B, 2) mm, and angle (B,) rad."""
+    """Create the contact ellipse for the test of fields: centre and semi-axes (B, 2) mm, and angle (B,) rad."""
     half = (mm_per_px / 2 * torch.tensor([size[1], size[0]], dtype=torch.float32)).expand(batch, -1)
     return {
         "center": half.contiguous(),

@@ -69,7 +69,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
 
 
 def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
-    """Export one graph to an ONNX file, and check it; return its entry in bundle.json."""
+    """Export one graph to an ONNX file and check the file; return the description for bundle.json."""
     import onnx
 
     dynamic = recipe.views.batch == "dynamic"
@@ -99,7 +99,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
-    """Write the files of a bundle other than the graphs: player, technician's files and bundle.json."""
+    """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json."""
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
@@ -118,7 +118,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
 
 
 def scene_for(template: str, height: int, width: int) -> str:
-    """Adapt the scene template to views of this size; in the template they are 512 x 640 px, next to each other."""
+    """Adapt the scene template, made for two views of 512 x 640 px side by side, to views of another size."""
     places = {
         "[0, 512]": (0, height),
         "[0, 640]": (0, width),

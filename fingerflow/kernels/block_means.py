@@ -1,4 +1,4 @@
-"""Kernel of block means: means over blocks and lines of frames, from and to NumPy arrays."""
+"""Kernel of block means: means of frames over blocks and over sampled lines, on NumPy arrays."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ Array = NDArray[Any]
 
 
 def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) -> tuple[Array, Array]:
-    """Compute the means of frames over blocks (K, rows, columns), and over the lines read (K, lines), float32.
+    """Compute the means of frames over blocks (K, rows, columns) and over sampled lines (K, lines), float32.
 
     They are those of `tracker.block_means`, for frames (K, 1, H, W) of FRAME_KINDS. One line of `steps[0]` and one
     pixel of `steps[1]` is read; `blocks` are the numbers of rows and columns of blocks.

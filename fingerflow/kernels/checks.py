@@ -1,4 +1,4 @@
-"""Checks of the arrays passed to kernels, and their packing as arguments."""
+"""Checks of the arrays passed to kernels, and conversion of these arrays to kernel arguments."""
 
 from fingerflow.kernels.arrays import (
     KINDS,
@@ -16,7 +16,7 @@ FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # of kernels/
 
 
 def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) -> None:
-    """Raise TypeError if frames have another dtype than `kinds`, ValueError if they are not (B, 1, H, W)."""
+    """Raise TypeError unless the dtype of frames is one of `kinds`, ValueError unless the shape is (B, 1, H, W)."""
     if kind(frames) not in kinds:
         raise TypeError(f"frames are {kind(frames)}: this compiled kernel takes {' or '.join(kinds)}")
     if frames.ndim != 4 or frames.shape[1] != 1:
@@ -24,7 +24,7 @@ def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) ->
 
 
 def check_axes(name: str, array: Shaped, count: int) -> None:
-    """Check an array whose sizes are read: raise ValueError for another number of axes."""
+    """Raise ValueError if an array does not have `count` axes."""
     if array.ndim != count:
         raise ValueError(f"{name} has shape {tuple(array.shape)}: an array of {count} axes is needed")
 
@@ -36,7 +36,7 @@ def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> Non
 
 
 def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
-    """Check the dtype and shape of an array, and return it contiguous.
+    """Check the dtype and shape of an array, and return a contiguous array.
 
     Raises:
         ValueError: wrong dtype or shape.
@@ -59,7 +59,7 @@ def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
 
 
 def described(frames: Array) -> dict[str, Array | int]:
-    """Return the fields of the C structure `fingerflow_frames` for frames (B, 1, H, W) with contiguous rows."""
+    """Describe frames (B, 1, H, W) with contiguous rows by the fields of the C structure `fingerflow_frames`."""
     batch, _, height, width = frames.shape
     frame_stride, row_stride = strides_of_rows(frames)
     return {
@@ -74,7 +74,7 @@ def described(frames: Array) -> dict[str, Array | int]:
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Check frames and their reference light; return the fields of the C structure `fingerflow_lit_frames`.
+    """Check frames, `light` and `black` images; return the fields of the C structure `fingerflow_lit_frames`.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
@@ -95,7 +95,7 @@ def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
 
 
 def mask_of(frames: Array, mask: Array) -> Array:
-    """Check the mask (B or 1, 1, H, W) bool that belongs to frames, and return it with contiguous rows."""
+    """Check that a mask (B or 1, 1, H, W) bool fits the frames, and return the mask with contiguous rows."""
     check_frames(mask, ("bool",))
     if mask.shape[1:] != frames.shape[1:] or mask.shape[0] not in (1, frames.shape[0]):
         raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
@@ -103,7 +103,7 @@ def mask_of(frames: Array, mask: Array) -> Array:
 
 
 def described_mask(mask: Array | None) -> dict[str, Array | int | None]:
-    """Return the kernel arguments of a mask: its data, number of images, and strides of image and row in pixels."""
+    """Return the kernel arguments for a mask: data, number of images, and image and row strides in pixels."""
     names = ("mask", "masks", "mask_stride", "mask_row_stride")
     if mask is None:
         return dict(zip(names, (None, 0, 0, 0), strict=True))

@@ -1,4 +1,4 @@
-"""Kernels of the contact view: median, contact mask, illumination gain, histogram, Otsu, apparent contact."""
+"""Kernels of the contact view: median, contact mask, illumination gain, histogram, Otsu threshold, apparent contact."""
 
 import functools
 
@@ -49,7 +49,7 @@ def median(frames: Array, size: int) -> Array:
 
 @functools.cache
 def table_of(size: int) -> NDArray[np.uint16] | None:
-    """Return the median program for windows of this size as a table; None for sizes that are compiled, and for 1."""
+    """Return the instruction table of the median filter for windows of `size`; None for compiled-in sizes and for 1."""
     return None if size == 1 or size in COMPILED_SIZES else np.array(median_table(size), np.uint16)
 
 
@@ -86,7 +86,7 @@ def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> A
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Normalise frames by the empty glass, as `ops.filters.illumination`: return quotients and a mask of known pixels.
+    """Divide frames by the empty glass, as `ops.filters.illumination`; return quotients and a mask of known pixels.
 
     Both are (B, 1, H, W). Frames are of FRAME_KINDS, `light` and `black` as for `real_contact_mask`. A pixel is lit if
     its light exceeds `least`, float32, one per image of light.
@@ -102,7 +102,7 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
 
 
 def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
-    """Count the pixels of uint8 or uint16 frames by bin, (B, bins) int64, inside a mask (B or 1, 1, H, W) bool.
+    """Compute grey-level histograms (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
 
     `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
 
@@ -145,7 +145,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
-    """Segment the apparent contact of a mask (B, 1, H, W) bool on cells of `side` px.
+    """Compute the apparent contact from a mask of real contact (B, 1, H, W) bool, on cells of `side` px.
 
     The method is that of `ops.contact.apparent_contact`. The results are float32: the signed density margin (B, 1, h,
     w), and (B, 7) covered pixels, area, centre, semi axes and angle. `side` is one of CELLS.

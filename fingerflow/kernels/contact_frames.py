@@ -1,4 +1,4 @@
-"""Kernels of the whole contact chain, one call for each task, from and to NumPy arrays."""
+"""Kernels that compute the contact of whole frames, with one call for each task, on NumPy arrays."""
 
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ class ContactOfFrames(NamedTuple):
 def contact_of_frames(
     frames: Array, light: Array, black: Array, limits: Array, *, median_px: int, radius: int, cell: int
 ) -> ContactOfFrames:
-    """Compute the contact of frames in one call, as `graphs.ContactGraph`.
+    """Compute contact mask, areas, ellipse and illumination gain of frames in one call, as `graphs.ContactGraph`.
 
     The mask contains the pixels below black + limit * gain * light; an unknown gain counts as 1.
 

@@ -1,4 +1,4 @@
-"""Cell and block sizes for the contact, from the radius of a pattern; limits of lit glass.
+"""Sizes of cells and blocks for the contact, from the radius of the skin pattern; limits of lit glass.
 
 The radius is half the ridge distance or a little more.
 """
@@ -11,10 +11,10 @@ _LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 
 
 def cell_of(radius: int) -> int:
-    """Return the side (px) of the cells of the apparent contact for a pattern of this radius: 4, less if it is fine."""
+    """Return the side in px of the cells of the apparent contact: 4, or less for a fine skin pattern."""
     return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 
 def block_of(radius: int) -> int:
-    """Return the side (px) of the blocks in which `illumination_gain` compares a frame with the empty glass."""
+    """Return the side in px of the blocks in which `illumination_gain` compares frames with the empty glass."""
     return max(_LEAST_BLOCK, (2 * radius + 1) // 8 * 8)

@@ -10,7 +10,7 @@ from fingerflow.kernels.tracking_limits import NUMBERS
 
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
-    """N points tracked in K frames, corrected for the deformation of the skin; the kernel returns float32.
+    """Tracked points (N points in K frames) after correction for the deformation of the skin.
 
     Attributes:
         points: (K, N, 2) px.

@@ -1,4 +1,4 @@
-"""Minimum requirements of local fits and of area medians, and the names of the strain measures."""
+"""Requirements for valid local fits and area medians, and the names of the strain measures."""
 
 import functools
 import math
@@ -28,7 +28,7 @@ EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
 
 @functools.cache
 def lattice() -> NDArray[Any]:
-    """Return sampling positions (POSITIONS, 2) float64 spread evenly in the unit disc: a Fibonacci lattice.
+    """Return sampling positions (POSITIONS, 2) float64, spread evenly over the unit disc by a Fibonacci lattice.
 
     Source: Vogel 1979. Neighbours are close to each other in the list.
     """

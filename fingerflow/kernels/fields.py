@@ -33,7 +33,7 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Fit planes to scattered values around queries, as `ops.fields.local_fit` up to rounding.
+    """Fit planes to scattered values around query positions, as `ops.fields.local_fit` up to rounding.
 
     Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
     C) share a dtype, float32 or float64. B is that of the results, or 1.
@@ -102,7 +102,7 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute the medians of fields over ellipses, as `ops.fields.area_medians` up to rounding; all float32.
+    """Compute medians of float32 fields over ellipses, as `ops.fields.area_medians` up to rounding.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.

@@ -1,4 +1,4 @@
-"""Kernels of dense optical flow on float32 arrays; each raises ValueError for another dtype or a wrong shape."""
+"""Kernels of dense optical flow on float32 arrays; all raise ValueError for a wrong dtype or shape."""
 
 import itertools
 import math
@@ -30,7 +30,7 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """Fields of a first image from which dense flow is computed."""
+    """Fields of the first of two images, from which the dense optical flow between them is computed."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask
@@ -42,7 +42,7 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class Left(NamedTuple, Generic[Array]):
-    """Residual of a flow: means over cells (B, ., h, w) of what displacement and illumination leave unexplained."""
+    """Residual left by a flow: means over cells of what displacement and illumination do not explain."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -53,7 +53,7 @@ class Left(NamedTuple, Generic[Array]):
 def _computed(
     name: str, given: Mapping[str, tuple[Array, tuple[int, ...]]], made: Mapping[str, tuple[int, ...]], **others: Any
 ) -> list[Array]:
-    """Run a kernel on float32 arrays and return its results, float32 too.
+    """Run a kernel on float32 arrays and return float32 results.
 
     Args:
         name: of the kernel.
@@ -72,7 +72,7 @@ def _computed(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return batch, height and width of images (B, 1, H, W) as kernel arguments, and shapes of image and cell grid."""
+    """Return the kernel arguments batch, height and width of images (B, 1, H, W), and shapes of image and cell grid."""
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 
@@ -82,7 +82,7 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return a symmetric window as kernels take it: weights from the middle one on; raise ValueError if asymmetric."""
+    """Return a symmetric window as kernel arguments: the weights from the middle on; raise ValueError if asymmetric."""
     if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
         raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2
@@ -90,7 +90,7 @@ def _window(weights: Sequence[float]) -> dict[str, Any]:
 
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
-    """Return the shapes of the five planes of `count` multigrid levels; the finest level is (height, width).
+    """Return the shapes of the five planes of each of `count` multigrid levels; the finest is (height, width).
 
     The planes are tensor, right, down, inverse and inside.
     """
@@ -102,7 +102,7 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
 
 
 def _levels(addresses: Sequence[int], shapes: list[list[tuple[int, ...]]]) -> NDArray[np.int64]:
-    """Return an array of the C structure `fingerflow_flow_level`, from plane addresses and level shapes."""
+    """Pack plane addresses and level shapes into an array of the C structure `fingerflow_flow_level`."""
     planes = np.array(addresses, np.int64).reshape(len(shapes), len(_PLANES))
     return np.hstack((planes, np.array([level[0][2:] for level in shapes], np.int64)))
 
@@ -118,7 +118,7 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Compute the flow (B, 2, H, W) after multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
+    """Compute the flow (B, 2, H, W) by multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
@@ -188,7 +188,7 @@ def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: 
 
 
 def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """Compute the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exponentials to 2e-7.
+    """Compute the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exp accurate to 2e-7.
 
     `tensor` is (B, 3, H, W). `density` of the noise, `alpha`, and `textured`, the eigenvalue above which texture is
     known, are (B,), one for each image.
@@ -211,7 +211,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Compute the fields of a first image from which the flow is computed, as `ops.flow.dense_flow`.
+    """Compute the fields of the first of two images for dense flow, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """
@@ -245,7 +245,7 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> Left[Array]:
-    """Compute the residual of a flow on cells, as `ops.flow.dense_flow`.
+    """Compute the residual that a flow leaves unexplained, on cells, as `ops.flow.dense_flow`.
 
     `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
     (B, ., h, w) lie on cells.
@@ -276,7 +276,7 @@ def flow_left(
 
 
 def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
-    """Return weighted means (B, C, H, W) of fields over a window: the weights along rows, then along columns.
+    """Compute weighted means (B, C, H, W) of fields over a window, along rows and then along columns.
 
     Fields are 0 beyond the border. `weights` are an odd number, symmetric about the middle.
     """
@@ -312,7 +312,7 @@ def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
 
 
 def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> tuple[Array, Array, Array]:
-    """Interpolate flow, covariance and residual from cells (B, ., h, w) to the pixels `inside` (B, 1, H, W).
+    """Interpolate flow, covariance and residual from cells (B, ., h, w) to the pixels of a mask (B, 1, H, W).
 
     On cells are `flow`, `others`, which holds covariance (xx, xy, yy) and residual, and `known`, where they are known.
 

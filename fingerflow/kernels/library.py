@@ -1,4 +1,4 @@
-"""Loading of the compiled library, calls of its functions, and their exceptions."""
+"""Interface to the compiled library: loading, function calls and exceptions."""
 
 import ctypes
 import functools
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Here(threading.local):
-    """State of each thread: whether its kernels only allocate results."""
+    """Per-thread state: whether the kernels called by the thread only allocate results."""
 
     shapes_only = False
 
@@ -36,7 +36,7 @@ _here = _Here()
 
 
 class Entry:
-    """Callable of a function of the library; arguments have the names of interface.h, None is a null address.
+    """Callable kernel of the compiled library; arguments are named as in interface.h, and None is a null address.
 
     Addresses are given as NumPy arrays or torch tensors on the CPU, whose shape and memory layout is not checked. Whole
     numbers are counts, sizes and choices: none is negative.
@@ -100,7 +100,7 @@ class Entry:
             raise RuntimeError(f"kernel {self._name} failed: {said}")
 
     def _refuse(self, values: list[Any]) -> NoReturn:
-        """Raise the error of the first number that does not fit its declaration."""
+        """Raise the error for the first numeric argument that does not fit the declared type."""
         for (name, code), value in zip(self._fields, values, strict=True):
             said = f"kernel {self._name}: {name} is {value!r}: give "
             if code not in _WHOLE:
@@ -115,7 +115,7 @@ class Entry:
 
 
 def _packs(code: str, value: Any) -> bool:
-    """Return whether a value can be packed by a code of `struct`."""
+    """Return whether a value fits a format code of `struct`."""
     try:
         struct.pack(code, value)
     except (struct.error, OverflowError, TypeError):
@@ -124,7 +124,7 @@ def _packs(code: str, value: Any) -> bool:
 
 
 def entry(name: str) -> Entry:
-    """Return the callable of a kernel by its name, without the prefix of the library.
+    """Return the callable of a kernel by function name, without the common prefix of the library.
 
     Raises:
         RuntimeError: the compiled kernels cannot be used.
@@ -151,7 +151,7 @@ def values_are_known() -> bool:
 
 
 def limit_instruction_set(most: int) -> int:
-    """Limit the kernels to an instruction set, and return the one used: 0 baseline, 1 AVX2, 2 AVX-512 (for tests).
+    """Limit the kernels to an instruction set (0 baseline, 1 AVX2, 2 AVX-512), for tests; return the set in use.
 
     -1 removes the limit.
     """
@@ -161,7 +161,7 @@ def limit_instruction_set(most: int) -> int:
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """Make pieces of the kernels' work fail from now on, for tests; a fault of 0 ends this.
+    """Make parts of the kernels' work fail from now on, for tests; `fault` 0 ends this.
 
     Faults are numbered as in kernels/parallel.h.
     """
@@ -169,12 +169,12 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
 
 
 def is_present() -> bool:
-    """Return whether the compiled library is installed, was built from these sources, and is not turned off."""
+    """Return whether the compiled library is installed, built from the present sources and not switched off."""
     return _library() is not None
 
 
 def threads() -> int:
-    """Return the number of threads that kernels use: that of torch if this process has loaded torch.
+    """Return the number of threads that kernels use: the setting of torch if this process has loaded torch.
 
     Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
@@ -183,7 +183,7 @@ def threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Set the number of threads that kernels use, and that of torch if this process has loaded torch."""
+    """Set the number of threads of the kernels, and of torch if this process has loaded torch."""
     global _threads
     _threads = count
     if "torch" in sys.modules:

@@ -24,7 +24,7 @@ _ROWS = 32  # points whose distances to all others are in memory at a time
 
 
 class NeighbourLists(NamedTuple):
-    """The k nearest neighbours of N points, nearest first, as (k, P) arrays.
+    """Lists (k, P) of the k nearest neighbours of N points, nearest first.
 
     P is the smallest multiple of 16 that is not below N.
 
@@ -48,7 +48,7 @@ class OutlierFlags(NamedTuple):
 
 
 def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
-    """Return the nearest neighbours with which each point is compared, once for all frames of the same points.
+    """Find the nearest neighbours of each point for the outlier detection, once for all frames of the points.
 
     Args:
         positions: (N, 2) reference positions, float32, NaN where there is none. N is 2 or more.
@@ -82,7 +82,7 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
 
 
 def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std: Array) -> OutlierFlags:
-    """Find points whose displacement or uncertainty deviates from their neighbours', as `ops.find_outliers`.
+    """Find points that deviate from their neighbours in displacement or uncertainty, as `ops.find_outliers`.
 
     A point at a limit, to the rounding of float32, may have another result than there.
 
@@ -140,7 +140,7 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search for windows around guesses, and backward from the matches, as `ops.tracking.search.search_and_return`.
+    """Search for windows around guessed positions, then backward, as `ops.tracking.search.search_and_return`.
 
     Args:
         key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.
@@ -208,7 +208,7 @@ class DetectedPoints(NamedTuple):
 
 
 def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: float, window: int) -> DetectedPoints:
-    """Detect corners worth tracking, as `graphs.DetectGraph`; equal responses may be chosen otherwise.
+    """Detect corners to track, as `graphs.DetectGraph`, except for the choice among equal corner responses.
 
     Args:
         frame: (1, 1, H, W) of FRAME_KINDS, at least 7 x 7 px.

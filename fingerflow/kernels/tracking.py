@@ -1,4 +1,4 @@
-"""Kernels of tracking: templates and their registration, search for windows, corners, spline and noise."""
+"""Kernels of tracking: templates, registration and search of windows, corner detection, spline and noise."""
 
 import math
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def prepare_templates(
 
 
 class FollowedPoints(NamedTuple, Generic[Array]):
-    """Points tracked through K frames, (K, B, N, ...), with the attributes of `ops.tracking.templates.Found`.
+    """Tracking results (K, B, N, ...) of points in K frames, with the attributes of `ops.tracking.templates.Found`.
 
     `place` and `speed` (B, N, 2) are those after the last frame.
     """
@@ -95,7 +95,7 @@ def find_templates(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FollowedPoints[Array]:
-    """Track templates (start, samples, numbers) of B x N points through K frames each.
+    """Track the templates of B x N points through K frames each, in one call.
 
     Frames are (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b. The prediction for the first frame is
     `place` + `speed`, both (B, N, 2), px and px a frame. `variance` (K B,) is float32.
@@ -154,7 +154,7 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Points registered in pairs of images, (B, N, ...): attributes of `ops.tracking.templates.Found`, and `numbers`.
+    """Registration results (B, N, ...) of points in image pairs, as `ops.tracking.templates.Found`, and `numbers`.
 
     `numbers` are the template statistics of `Templates`.
     """
@@ -181,7 +181,7 @@ def find_pairs(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FoundPairs[Array]:
-    """Prepare templates of points in `previous` and register them in `current` near `place` (B, N, 2), in one call.
+    """Prepare templates of points in image `previous`, and register them in image `current` near `place` (B, N, 2).
 
     This is `prepare_templates` and `find_templates` without writing samples to memory. Images are (B, 1, H, W) of one
     of FRAME_KINDS; `variance` (B,) is that of both.
@@ -239,7 +239,7 @@ def _check_window(window: int, frames: Array) -> None:
 
 
 def halve(frames: Array) -> Array:
-    """Halve the resolution of frames of FRAME_KINDS by means of 2 x 2 px: (B, 1, H // 2, W // 2) float32.
+    """Halve the resolution of frames by averaging 2 x 2 px, to (B, 1, H // 2, W // 2) float32.
 
     The results equal those of `ops.filters.halving`.
 

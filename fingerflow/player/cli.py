@@ -42,7 +42,7 @@ ReadForces = Callable[[Path], LiveForces | None]
 def main(
     arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces = lambda scene: None
 ) -> int:
-    """Run the player from its command line and return the exit status.
+    """Run the player with command-line arguments and return the exit status.
 
     The status is 0 at the source's end, 2 after an error of the user, 130 or 143 after Ctrl-C or SIGTERM.
 
@@ -151,7 +151,7 @@ def _may_replace(path: Path) -> bool:
 
 @contextlib.contextmanager
 def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
-    """Stop the player cleanly at the first Ctrl-C or SIGTERM; a second signal has Python's usual effect.
+    """Stop the player cleanly at the first Ctrl-C or SIGTERM; a second signal acts as Python does by default.
 
     Yields the list of received signals.
     """

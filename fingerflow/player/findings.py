@@ -1,4 +1,4 @@
-"""Warnings in the summary of a stream about results that no frame has given, such as contact."""
+"""Warnings about kinds of results, such as contact, that no frame of a stream has given."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class Findings:
         self._points = self._contact = False
 
     def skip(self, status: int) -> bool:
-        """Count a frame that is not usable; return whether its status differs from that of the previous frame."""
+        """Count an unusable frame; return whether the frame status has changed since the previous frame."""
         self.not_usable[FRAME_STATUS[status]] += 1
         begins, self._last = status != self._last, status
         return begins
 
     def count(self, tracked: int, area: float) -> None:
-        """Count a usable frame, given its number of tracked points and its real contact area in any unit."""
+        """Count a usable frame, and record whether any tracked points and any contact area were found in it."""
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
         self._contact |= area > 0
 
     def missing(self, threshold_known: bool) -> list[str]:
-        """Return a warning sentence for each kind of result that no frame has given."""
+        """Return a warning sentence for each kind of result that no frame of the stream has given."""
         if not self._usable:
             counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
             return [

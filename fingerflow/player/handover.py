@@ -1,4 +1,4 @@
-"""Objects that the threads of a stream exchange: closable queues, ordered completion, frame buffers."""
+"""Objects exchanged between the threads of a stream: closable queues, ordered completion, frame buffers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class Channel(Generic[T]):
-    """Bounded queue between threads that can be closed; a closed queue returns its remaining items, then None.
+    """Bounded queue between threads; once closed, it returns the remaining items and then None.
 
     Args:
         newest_first: whether `get` returns the newest item first.
@@ -52,7 +52,7 @@ class Channel(Generic[T]):
             return left
 
     def get(self, wait: bool = True) -> T | None:
-        """Return the next item; None if there is none and the channel is closed or `wait` is false."""
+        """Return the next item; None if the queue is empty and either is closed or must not be waited for (`wait`)."""
         with self._changed:
             while wait and not self._items and not self._closed:
                 self._changed.wait()
@@ -65,14 +65,14 @@ class Channel(Generic[T]):
         return not self._items
 
     def close(self) -> None:
-        """Close the channel: it accepts no further items, and all waiting threads continue."""
+        """Close the queue: no further items are accepted, and all waiting threads continue."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
 
 class InOrder(Generic[T]):
-    """Ordered completion: work items end in the order in which they began, though threads compute them in parallel.
+    """Ordered completion: items end in the order in which they began, although threads compute them in parallel.
 
     A thread that finishes before its turn leaves its item to the thread whose turn it is.
 
@@ -104,12 +104,12 @@ class InOrder(Generic[T]):
             return not self._stopped
 
     def begin(self) -> int:
-        """Register a new item and return its number; only one thread at a time may call this."""
+        """Register a new item and return its number; must not be called by two threads at once."""
         self.begun += 1
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """End a computed item, and later ones that wait for it, unless an earlier item is still being computed."""
+        """Mark an item as computed, and end all computed items that no unfinished earlier item precedes."""
         with self._changed:
             self._done[number] = piece
             if self._ending:
@@ -128,14 +128,14 @@ class InOrder(Generic[T]):
                 self._changed.notify_all()
 
     def stop(self) -> None:
-        """Let no further items begin; computed items still end if no earlier item is missing."""
+        """Let no further items begin; items already computed still end if all earlier items are computed."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
 
 
 class Slot(Frame):
-    """Frame buffer: holds both views (1, 1, H, W) of a frame, its number and its time of arrival."""
+    """Frame buffer: holds both views (1, 1, H, W), the number and the arrival time of a frame."""
 
     def __init__(self, bundle: Bundle) -> None:
         shape = (1, 1, bundle.height, bundle.width)
@@ -143,7 +143,7 @@ class Slot(Frame):
         self.arrival = 0.0
 
     def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
-        """Copy the views of a frame into the buffer; raise PlayerError where its size or bit depth does not match."""
+        """Copy the views of a frame into the buffer; raise PlayerError if the frame has another size or bit depth."""
         needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(

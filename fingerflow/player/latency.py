@@ -1,4 +1,4 @@
-"""Statistics of latency, the time from the arrival of a frame to its result."""
+"""Statistics of latency: the time from the arrival of a frame to the result of that frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Latencies:
-    """Histogram of latencies in bins 1 % wide from 10 µs to 20 s; its memory does not grow with the stream."""
+    """Histogram of latencies from 10 µs to 20 s, in bins 1 % wide, whose memory does not grow with the stream."""
 
     _first, _ratio = 1e-5, 1.01
 
@@ -25,7 +25,7 @@ class Latencies:
         self.worst = max(self.worst, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return a quantile of the latencies in s, as the upper end of its bin; NaN if there are none."""
+        """Return a quantile of the latencies in s, rounded up to the end of a histogram bin; NaN if there are none."""
         if not self.count:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))

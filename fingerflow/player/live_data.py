@@ -1,4 +1,4 @@
-"""Latest image and time traces of a stream, as the live page shows them."""
+"""Latest image and time traces of a stream, for display on the live page."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a fra
 
 
 class LiveForces(NamedTuple):
-    """Forces of a recording by name, (frames,) N each, for the frames from number ``first`` on."""
+    """Measured forces of a recording by name, in N for each frame from number ``first`` on."""
 
     first: int
     values: Mapping[str, Array]
@@ -45,14 +45,14 @@ class LiveForces(NamedTuple):
 
 
 class LiveViews(NamedTuple):
-    """Data from which an image is drawn: a frame buffer, and the real-contact mask (H, W) if the recipe exports it."""
+    """Data for the image of the live page: a frame buffer, and the contact mask (H, W) if the recipe exports it."""
 
     slot: Slot
     real_contact_mask: Array | None
 
 
 class LiveData:
-    """Latest image and time traces of a stream; the storing thread writes them and the page server reads them.
+    """Latest image and time traces of a stream, written by the storing thread and read by the page server.
 
     Args:
         bundle: the bundle that is played.
@@ -78,7 +78,7 @@ class LiveData:
         return time.perf_counter() - self._asked < 2
 
     def is_due(self) -> bool:
-        """Return whether the live page needs a new image; if so, record that it is drawn now.
+        """Return whether a new image for the live page is due; if so, count the image as drawn now.
 
         It does if a page is open and the last image is old enough.
         """
@@ -104,7 +104,7 @@ class LiveData:
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
-        """Append the results of a frame to the time traces; the oldest entry is dropped when they are full."""
+        """Append the results of a frame to the time traces; full traces drop the oldest entry."""
         names, expected = record.dtype.names or (), self._expected_in(record)
         row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
         row += self._forces.at(int(record["frame"])).values()
@@ -114,7 +114,7 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Return the latest data as bytes for the page: a JSON text, then the arrays that it describes.
+        """Return the latest data for the live page as bytes: a JSON text, then the arrays described by this text.
 
         The length of the text (little-endian uint32) comes first; text and arrays are padded to 4 bytes.
         """

@@ -45,7 +45,7 @@ _HEADERS = {
 def serve_page(
     address: tuple[str, int], live: LiveData, facts: Callable[[], Mapping[str, Any]], restart: Callable[[], None]
 ) -> PageServer:
-    """Start the server of the live page in its own thread and return it.
+    """Start the server of the live page in a new thread, and return the server.
 
     Args:
         address: host and port; port 0 takes a free one.
@@ -103,7 +103,7 @@ class PageServer(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def stop(self) -> None:
-        """Stop the server; an open page is served a little longer, to show how the stream has ended."""
+        """Stop the server of the live page; an open page is served a little longer, to show the end of the stream."""
         if self._live.is_watched():
             time.sleep(_LAST_LOOK)
         self.shutdown()
@@ -136,7 +136,7 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a client, and free its place when the client has gone."""
+        """Serve a client, then free one of the `_CLIENTS` places for simultaneous clients."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -144,7 +144,7 @@ class PageServer(ThreadingHTTPServer):
             self._room.release()
 
     def service_actions(self) -> None:
-        """Close the connections of clients whose request takes too long; called twice a second."""
+        """Close the connections of clients whose request takes too long; called twice a second by the server loop."""
         now = time.monotonic()
         for connection, since in list(self.asking.items()):
             if now - since > _REQUEST:
@@ -170,7 +170,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: PageServer
 
     def handle_one_request(self) -> None:
-        """Handle one request; its time limit starts when the server begins to wait for it."""
+        """Handle one request of a client, with a time limit that starts when the server begins to wait for it."""
         self.server.asking[self.connection] = time.monotonic()
         super().handle_one_request()
 
@@ -209,7 +209,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing, because the page sends fifteen requests a second."""
 
     def _let_body_pass(self) -> None:
-        """Read and discard the rest of a request's body; closing the connection earlier would lose the response."""
+        """Read and discard the rest of a request's body, as closing the connection earlier would lose the response."""
         self.connection.shutdown(socket.SHUT_WR)
         self.connection.settimeout(_LINGER)
         taken = 0
@@ -217,7 +217,7 @@ class _Handler(BaseHTTPRequestHandler):
             taken += len(part)
 
     def _is_own(self, name: str) -> bool:
-        """Return whether a host name can only mean this computer.
+        """Return whether a host name means this computer and can mean no other.
 
         Any other name may be a DNS rebinding attack.
         """
@@ -227,6 +227,6 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _name(host: str) -> str:
-    """Return the host name of a Host header, without its port, in lower case."""
+    """Return the host name of an HTTP Host header, in lower case and without a port."""
     name, _, port = host.strip().lower().rpartition(":")
     return name if name and port.isdigit() else host.strip().lower()

@@ -1,4 +1,4 @@
-"""Input of a stream: frame source, range of frames, and images of the empty glass and without light."""
+"""Input of a stream: frame source, range of frames, background image (empty glass) and dark image."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STILLS = 64  # frames of the empty glass that are averaged: the noise is then a
 
 
 class Played(NamedTuple):
-    """Input of a stream: frame source, range of frames, and contact views of the empty glass and without light.
+    """Input of a stream: frame source, range of frames, background image (empty glass) and dark image.
 
     ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
     known. ``forces_in`` is the scene file that names the forces of these frames.
@@ -93,7 +93,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """Return a view (H, W) float32, averaged over the first 64 frames of a file; frames may hold the view alone.
+    """Return the mean (H, W) float32 of a view over the first 64 frames of a file with full frames or this view only.
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """

@@ -1,4 +1,4 @@
-"""Record layout: the variables of `schema` that are stored for each frame of a stream."""
+"""Layout of records: the variables of `schema` that are stored for each frame of a stream."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": 
 
 
 def _entry(variable: Variable, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Return the description of a record field in the header of the results; `shape` is without the frame dimension."""
+    """Return the description of a record field for the file header; `shape` does not include the frame axis."""
     dtype = np.dtype(kind).newbyteorder("<").str
     about = {"name": variable.name, "dtype": dtype, "shape": shape, "dims": variable.dims, "unit": variable.units}
     return {**about, "long_name": variable.long_name, "matlab": _MATLAB[dtype[1:]]}
 
 
 class RecordLayout:
-    """Layout of the records of a stream, one a frame, and storage of results in them.
+    """Layout of the records of a stream: one record a frame, with a field for each stored variable.
 
     Args:
         points: number N of points in each frame.
@@ -63,7 +63,7 @@ class RecordLayout:
         self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])
 
     def fill(self, records: Mapping[str, Array], place: int, results: Mapping[str, Any]) -> None:
-        """Store the results of a frame in the record with index `place`; `records` holds the fields by name."""
+        """Store the results of a frame in record number `place`; `records` holds the field arrays by name."""
         for name in RESULTS:
             records[name][place] = results[name]
 

@@ -1,4 +1,4 @@
-"""Stream player: its threads, and how frames, outcomes and records pass between them."""
+"""Stream player: the threads of a stream, and the transfer of frames, outcomes and records between threads."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Settings:
 
 
 class Player:
-    """Player of one stream, from its source to stored results; `run` returns when the stream has ended.
+    """Player of one stream, from the frame source to stored results; `run` returns when the stream has ended.
 
     Raises FingerflowError for every error that the user can correct; the results until then are complete.
     """
@@ -119,7 +119,7 @@ class Player:
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
-        """Play the stream to its end and return its summary."""
+        """Play the stream to the end and return a summary of the stream."""
         after_computing = (self._free.close, self._frames.close, self._close_outcomes)
         after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
@@ -171,7 +171,7 @@ class Player:
         self._stop.set()
 
     def summary(self) -> dict[str, Any]:
-        """Return the frame counts, duration in s, rate and latencies of the stream until now."""
+        """Return the frame counts, duration in s, frame rate and latencies of the stream so far."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
             "frames_in": self.frames_in,
@@ -208,7 +208,7 @@ class Player:
         }
 
     def _guard(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Run the function of a thread, then close the queues in `after`; a failure stops the stream."""
+        """Run the function of a thread, then close the queues `after`; an exception stops the stream."""
         try:
             step()
         except BaseException as error:
@@ -287,7 +287,7 @@ class Player:
                 close_within(_HANGING, source)
 
     def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
-        """Close the source after an error, and wait before it is opened again, longer at each attempt."""
+        """Close a source that has failed, and wait before reopening it, longer at each attempt."""
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
@@ -330,7 +330,7 @@ class Player:
             raise
 
     def _begin(self) -> tuple[int, Work] | None:
-        """Begin the next frame and return its number and work; None if there is none or the stream has failed."""
+        """Begin the next frame and return its number and `Work`; None if no frame is left or the stream has failed."""
         with self._beginning:
             if not self._order.wait_for_room():
                 return None
@@ -345,18 +345,18 @@ class Player:
             return (self._order.begin(), work) if self._hand_on(passed) else None
 
     def _close_outcomes(self) -> None:
-        """Close the queue of outcomes once the last computing thread has ended."""
+        """Close the queue of frame outcomes once the last computing thread has ended."""
         with self._beginning:
             self._computing -= 1
             if not self._computing:
                 self._outcomes.close()
 
     def _end(self, work: Work) -> bool:
-        """Finish a computed frame and pass on its outcome; return False if the stream has failed."""
+        """Finish a computed frame and pass on the outcome; return False if the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
     def _hand_on(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Put final outcomes and events into the queue; return False if the stream has failed."""
+        """Put final frame outcomes and events into the queue; return False if the stream has failed."""
         return all(self._outcomes.put(one) for one in passed)
 
     # Measure: outcomes -> records.
@@ -373,7 +373,7 @@ class Player:
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _recorded(self, outcome: FrameOutcome) -> bool:
-        """Compute the results of a frame and pass on its record; return False if the stream has failed."""
+        """Compute the results of a frame and pass on a record of them; return False if the stream has failed."""
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)

@@ -1,4 +1,4 @@
-"""Experiment settings of a stream, read from a scene file with the rules of `schema`, as `fingerflow process` does."""
+"""Experiment settings of a stream, read from a scene file by the rules of `schema`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fingerflow.tracker.frame_tracker import TrackerSettings
 
 @dataclass(frozen=True)
 class StreamScene:
-    """Experiment settings of a stream: views, their scale, and the files of the background.
+    """Experiment settings of a stream: views, scale in mm per px, and background files.
 
     Frames are played from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, "reference_frame"
     or "per_frame". ``region`` is the rectangle of the topography view in which points are seeded, None for the whole
@@ -55,7 +55,7 @@ class StreamScene:
 
 
 def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
-    """Combine a scene and a bundle to the settings of the tracker of a stream."""
+    """Combine a scene and a bundle into the settings for the tracker of a stream."""
     region = np.zeros((bundle.height, bundle.width), dtype=bool)
     if scene.drawn is not None:
         for row, first, end in region_runs(scene.drawn, *region.shape):
@@ -139,7 +139,7 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
 
 
 def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
-    """Check that a bundle can play the scene of a file, or, without a path, that of the synthetic source.
+    """Check that a bundle fits a scene file or, without a path, the scene of the synthetic source.
 
     Raises PlayerError where the views do not have the bundle's size, or where a stream does not support the requested
     threshold or reference.

@@ -1,4 +1,4 @@
-"""Tracker: decisions from frame to frame, in NumPy, the same for recordings and for streams.
+"""Tracking of points through frames, contact onset and frame quality, in NumPy, for recordings and for streams.
 
 It predicts positions, updates templates, recovers lost points, verifies their subsets, checks whether frames are
 usable, determines when and how a point comes into contact, and seeds points. An engine (`fingerflow.engines`) does the

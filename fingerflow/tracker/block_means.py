@@ -1,4 +1,4 @@
-"""Means of blocks and of lines of frames, by which frames are compared with each other."""
+"""Means of frames over blocks and over lines, by which frames are compared with each other."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _SAMPLES = (128, 160)  # lines, and pixels of a line, that are read; up to twice
 
 
 class BlockMeans(NamedTuple):
-    """Means of n frames, float32: over blocks (n, rows, columns), and over the lines read (n, lines)."""
+    """Block means (n, rows, columns) and line means (n, lines) of n frames, float32."""
 
     blocks: Array
     lines: Array
 
 
 def block_means(frames: Array) -> BlockMeans:
-    """Compute the means of frames (n, H, W) over blocks of 24 px or more, and over lines.
+    """Compute the means of frames (n, H, W) over blocks of 24 x 24 px or more, and over lines of pixels.
 
     There are up to 16 x 16 blocks. Some 20,000 pixels of a frame are read, every fourth of every fourth line of 512 x
     640 px. Sums are exact for integers of up to 32 bit, so that equal frames have equal means; a pixel that is NaN
@@ -53,7 +53,7 @@ def block_means(frames: Array) -> BlockMeans:
 
 @functools.cache
 def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return how a frame is read: steps between lines and between pixels, and numbers of rows and columns of blocks."""
+    """Return the steps between the lines and pixels read of a frame, and the numbers of rows and columns of blocks."""
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
     read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))
@@ -62,7 +62,7 @@ def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:
-    """Sum values over pieces of an axis; return the sums, and the number of values in each piece.
+    """Sum values over `pieces` parts of an axis; return the sums and the number of values in each part.
 
     Neighbouring pieces share a value where the axis is no multiple of their number.
     """

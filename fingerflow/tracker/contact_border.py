@@ -16,7 +16,7 @@ BORDER_MM = 0.06
 
 
 class Border(NamedTuple):
-    """Border ellipses of the apparent (gross) contact, frame by frame; NaN where nothing touches."""
+    """Border ellipses of the apparent (gross) contact, one a frame; NaN in frames without contact."""
 
     center: Array  # (frames, 2) mm
     semi_axes: Array  # (frames, 2) mm
@@ -24,15 +24,15 @@ class Border(NamedTuple):
 
     @classmethod
     def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
-        """Return the border from results by variable name: `ellipse_center`, `ellipse_semi_axes`, `ellipse_angle`."""
+        """Create the border ellipses from results named `ellipse_center`, `ellipse_semi_axes` and `ellipse_angle`."""
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """Select the border ellipses of some frames."""
+        """Select the border ellipses of the given frames."""
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the depth (frames, P) mm of positions (frames, P, 2) inside the border.
+        """Return the depth (frames, P) mm of P positions (frames, P, 2) inside the border ellipses; negative outside.
 
         It is accurate to first order, and exact on the border.
         """

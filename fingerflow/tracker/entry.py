@@ -1,4 +1,4 @@
-"""Entry of points into the contact: covered by a growing contact, or advected over its border.
+"""Entry of skin points into the contact: by growth of the contact, or by advection over the contact's border.
 
 Also the gradients of advected points since their entry. Where a contact grows over skin, the onset positions of
 neighbours are as far apart as the neighbours, and the gradient of displacement with respect to onset positions is the
@@ -32,7 +32,7 @@ _FRAMES = 64  # read at a time
 
 
 class FrameValues(Protocol):
-    """Interface of an array with frames along its first axis, which may lie in a file."""
+    """Interface of an array with frames along the first axis, in memory or in a file."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -43,7 +43,7 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (N,) of the points that were advected into the contact, rather than covered by its growth.
+    """Return a mask (N,) of the points advected into the contact, in contrast to those that contact growth covered.
 
     A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
     than half the distance by which border and point approached each other. Neighbours enter one after the other as the
@@ -77,7 +77,7 @@ def advected(
 def _by_own_way(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (E,) of the points that came into contact by their own motion rather than by growth of the contact.
+    """Return a mask (E,) of the points that entered the contact by their own motion, not by growth of the contact.
 
     `here` (E,) are the indices of these points in `position`.
     """
@@ -100,7 +100,7 @@ def _by_own_way(
 
 
 def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """Extend a mask `found` (N,) by the points `among` of whose three nearest neighbours at least two are found.
+    """Extend a mask `found` (N,): mark points of `among` with at least two marked points among the nearest three.
 
     Only neighbours within `reach_mm` count.
     """
@@ -117,7 +117,7 @@ def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) 
 
 
 class SinceEntry(NamedTuple):
-    """Displacement gradients of E advected points since their entry, in n frames.
+    """Displacement gradients of E advected points in n frames, counted from the entry of each point into the contact.
 
     They are NaN before the entry and where too little is known.
     """
@@ -127,13 +127,13 @@ class SinceEntry(NamedTuple):
 
 
 class EntryGradients:
-    """Computation of displacement gradients since each point's own entry into the contact.
+    """Computation of displacement gradients counted from the entry of each point into the contact.
 
     Frames are given in order of time.
     """
 
     def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
-        """Select the points that lie within half a gauge length of the advected points `entered` (E,), given by index.
+        """Select the points within half a gauge length of the advected points, whose indices are `entered` (E,).
 
         Other arguments are those of `advected`.
         """
@@ -148,7 +148,7 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
-        """Compute the displacement gradients since entry in frames (n,), from positions (n, N, 2) mm.
+        """Compute displacement gradients since entry into the contact in n frames, from positions (n, N, 2) mm.
 
         `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
         seeded. Half of it belongs to that frame and is the same at all times.
@@ -165,9 +165,10 @@ class EntryGradients:
 
 
 class Entries:
-    """Entry of points into the contact in a stream: `advected` and `EntryGradients`, from the frames so far.
+    """Detection of advected points in a stream, and their displacement gradients since entry into the contact.
 
-    Positions of the points and borders of the contact are kept for the last `KEPT` frames.
+    As `advected` and `EntryGradients`, from the frames so far. Positions of the points and borders of the contact are
+    kept for the last `KEPT` frames.
 
     Args:
         places: (N, 2) mm, where points were seeded; NaN for none.
@@ -192,7 +193,7 @@ class Entries:
         self._at_entry = np.full((len(places), 2, 2), np.nan)
 
     def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
-        """Add a frame and return each point's displacement gradient (N, 2, 2) since its own entry.
+        """Add the next frame, and return the displacement gradients (N, 2, 2) of points since entry into the contact.
 
         The result is None if no point has entered. Gradients are NaN for lost points, and to be used for points that
         have `entered` only.
@@ -227,7 +228,7 @@ class Entries:
         return since if self.entered.any() else None
 
     def _judge(self, begins: Array) -> None:
-        """Update `entered`: judge points whose touch begins by their own motion, and all points by their neighbours."""
+        """Decide which points were advected, by their own motion and by their neighbours; update the mask `entered`."""
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
         onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)

@@ -1,4 +1,4 @@
-"""Distances between frames, from block means: of the pattern without the light, and of the light."""
+"""Image distances between frames, computed from block means: of the image pattern and of the overall light."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _TINY = np.finfo(np.float32).tiny
 
 
 def evened(blocks: Array) -> Array:
-    """Divide block means (n, rows, columns) by the mean of their frame, which removes the flicker of a lamp."""
+    """Divide block means (n, rows, columns) by the mean of each frame, which removes the flicker of a lamp."""
     result: Array = blocks / np.maximum(blocks.mean((1, 2), keepdims=True), _TINY)
     return result
 
 
 def row_distances(blocks: Array, before: Array) -> Array:
-    """Return the mean absolute difference of each row of blocks from the same row of another frame, (n, rows).
+    """Return the mean absolute difference (n, rows) of block means between pairs of frames, for each row of blocks.
 
     The block means are those of `evened`.
     """
@@ -32,7 +32,7 @@ def row_distances(blocks: Array, before: Array) -> Array:
 
 
 def block_distances(blocks: Array, before: Array) -> Array:
-    """Return the distances of each frame from the `LONGEST` + 1 frames before it, for each row of blocks and the light.
+    """Return the distances of each frame from the `LONGEST` + 1 preceding frames, for each row of blocks and the light.
 
     Args:
         blocks: (n, rows, columns) of `block_means`.

@@ -1,4 +1,4 @@
-"""Results of a usable frame of a stream: areas, positions, slip, and fields since each point's contact onset."""
+"""Results of a frame of a stream: contact areas, point positions, slip, and strain fields since contact onset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RESULTS = (
 
 
 class Seeding(NamedTuple):
-    """Points (N, 2) px seeded in one frame and tracked from then on, padded with NaN.
+    """Seeding of points in a frame, from which tracking starts: positions (N, 2) px, padded with NaN.
 
     `before` (M, 2) px are the positions of the previous points in the frame of the seeding; None for the first seeding.
     """
@@ -42,7 +42,7 @@ class Seeding(NamedTuple):
 
 
 class FrameResults:
-    """Computation of the results of a stream, frame after frame; values since contact onset restart at a seeding.
+    """Computation of the results of a stream frame by frame; each seeding restarts the values since contact onset.
 
     Tracking does not depend on this state: results may be computed in a thread of their own.
 
@@ -64,11 +64,11 @@ class FrameResults:
 
     @property
     def slipping(self) -> bool:
-        """Return whether skin in contact slips, according to the last usable frame."""
+        """Return the slip flag after the last usable frame: whether skin in contact slips."""
         return self._slip.slipping
 
     def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
-        """Compute the results of the next frame by the names of `RESULTS`, from its contact and its points."""
+        """Compute the results of the next frame from contact and tracked points, by the names in `RESULTS`."""
         if seeding is not self._seeding:
             self._begin(seeding)
         self._frames += 1
@@ -104,7 +104,7 @@ class FrameResults:
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
 
     def _on_glass(self, pixels: Array) -> Array:
-        """Convert positions (..., 2) from px of the topography view to mm on the glass."""
+        """Convert positions (..., 2) in px of the topography view to mm on the glass."""
         # By components: a matrix product with so small a matrix takes several times as long.
         x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
         result = np.empty(pixels.shape)
@@ -113,7 +113,7 @@ class FrameResults:
         return result
 
     def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
-        """Compute the fields of the displacement since each point's own onset of contact."""
+        """Compute divergence, curl and strain of the displacement since each point's onset of contact."""
         position = self._on_glass(found.points)
         border = Border(*ellipse)
         touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance, border)

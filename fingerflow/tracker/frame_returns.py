@@ -17,7 +17,7 @@ Distances = NDArray[np.float32]
 
 
 def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (F,) of frames farther from the frames before and after than these are from each other.
+    """Return a mask (F,) of jumps that return: frames far from both adjacent frames, which are close to each other.
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
     shifted or of another brightness, is far from both neighbours, while these are as close to each other and to the
@@ -73,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Return the length in frames of a jump that begins with `frame`, after frame `last`; 0 for no jump.
+    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -91,7 +91,7 @@ def _length_of_jump(
 
 
 def _steps(distances: Distances) -> tuple[Distances, Distances]:
-    """Return each frame's distances (F, rows) to the closer of the two frames before, and of the two after it.
+    """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
 
     They are 0 where there are none.
     """
@@ -103,13 +103,13 @@ def _steps(distances: Distances) -> tuple[Distances, Distances]:
 
 
 def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the reference with which the distance of a jump is compared: the largest of the given distances and 1."""
+    """Return the denominator of the quotient that detects jumps: the largest of the given distances and 1."""
     result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
     return result
 
 
 def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that reveals a jump.
+    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that is large if the image jumps.
 
     It is the distance of the run from the two frames around it, over the distance between these two.
     """
@@ -121,7 +121,7 @@ def _quotients(distances: Distances, steps: tuple[Distances, Distances], length:
 
 
 def _usual(quotients: Distances) -> Distances:
-    """Return the 0.9 quantile (rows,) of the quotients of a recording, at least 1: a value that is usual in it."""
+    """Return the level (rows,) that quotients usually stay below: the 0.9 quantile over a recording, at least 1."""
     if not len(quotients):
         return np.ones(quotients.shape[1], np.float32)
     # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
@@ -131,7 +131,7 @@ def _usual(quotients: Distances) -> Distances:
 
 
 def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask (F,), True for the first known frame if it is far from the next three and these are close."""
+    """Mark the first usable frame in a mask (F,) if it is far from the next three frames, which are close together."""
     result = np.zeros(len(distances), dtype=bool)
     first, *after = known[:4].tolist() or [0]
     if len(after) == 3 and after[-1] - first <= LONGEST + 1:
@@ -142,7 +142,7 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
 
 
 def _reversed(distances: Distances) -> Distances:
-    """Return the distances of `block_distances` for the frames in reversed order."""
+    """Reorder the distances of `block_distances` as if the frames came in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):
@@ -151,7 +151,7 @@ def _reversed(distances: Distances) -> Distances:
 
 
 def repeats(distances: Distances) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the frames whose block means all equal those of the frame before.
+    """Return a mask (F,) of the frames that repeat the preceding frame: all block means are equal.
 
     Frames next to another such frame are left out.
     """

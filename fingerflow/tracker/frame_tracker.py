@@ -1,4 +1,4 @@
-"""Tracker of a stream: computes results from images, frame after frame, without later frames."""
+"""Tracker of a stream: computes the results of each frame from the images received so far."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PIXELS = 20_000  # read to estimate this share
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Experiment settings of a stream.
+    """Experiment settings for the tracker of a stream.
 
     Attributes:
         points: N, the largest number of seeded points and the size of all results of points.
@@ -57,7 +57,7 @@ class TrackerSettings:
 
 
 class Frame:
-    """Input frame of a stream: both views, with block means and status.
+    """Input frame of a stream: contact view and topography view, block means and frame status.
 
     Attributes:
         number: of the frame; numbers increase but may have gaps.
@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass
 class Work:
-    """Data of a frame while it is computed, from `StreamTracker.begin` to its results.
+    """Intermediate data of a frame in progress, from `StreamTracker.begin` to `StreamTracker.results_of`.
 
     Attributes:
         index: among all frames of the stream that have begun, from 0.
@@ -99,7 +99,7 @@ class Work:
 
 
 class Event(NamedTuple):
-    """Event of a stream, such as a seeding or a new key frame: name, number of the frame, and details."""
+    """Event of a stream, such as a seeding or a new key frame: name, frame number and details."""
 
     name: str
     frame: int
@@ -107,7 +107,7 @@ class Event(NamedTuple):
 
 
 class FrameOutcome(NamedTuple):
-    """Outcome of a frame: its status, points, and the threshold and key frame used.
+    """Outcome of a frame: status, tracked points, and the contact threshold and key frame used.
 
     Attributes:
         work: of the frame.
@@ -131,14 +131,14 @@ class FrameOutcome(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """Motion of the points after a frame, and the number of that frame."""
+    """Known motion of the points after a frame, and the number of that frame."""
 
     motion: PointMotion
     number: int
 
 
 class _Change(NamedTuple):
-    """Deferred change of the tracked points, computed from an earlier frame: a reseeding or a new key frame.
+    """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided.
     """
@@ -151,9 +151,10 @@ class _Change(NamedTuple):
 
 
 class _Unlearnt(NamedTuple):
-    """Frame whose measured threshold is not processed yet; only a frame that `counts` may set the threshold.
+    """Frame whose measured contact threshold has not been taken into account yet.
 
-    It stores the number of the frame, because a `Frame` with results is reused for another image.
+    Only a frame that `counts` may set the threshold. It stores the number of the frame, because a `Frame` with results
+    is reused for another image.
     """
 
     number: int
@@ -162,14 +163,14 @@ class _Unlearnt(NamedTuple):
 
 
 class _Doubtful(NamedTuple):
-    """Deferred frame with its tracked points: its successor decides whether it counts."""
+    """Deferred frame with tracked points: the next frame decides whether the deferred frame is usable."""
 
     work: Work
     resolved: Resolved
 
 
 class StreamTracker:
-    """Tracker of a stream: its state, and the steps by which each frame updates it.
+    """Tracker of a stream: state between frames, and the methods `begin`, `compute` and `finish` for each frame.
 
     `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
     frames: it recovers lost points and decides whether the frame counts. `results_of` computes contact and results
@@ -216,7 +217,7 @@ class StreamTracker:
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
-        """Process an empty frame in a separate tracker, since the first calls of an engine take longer."""
+        """Process a blank frame in a separate tracker before a stream starts, since the first engine calls are slow."""
         other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
         for number in range(2):
             frame.number = number
@@ -229,20 +230,20 @@ class StreamTracker:
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
-        """Compute the block means of a frame, and its status without regard to other frames; in any thread."""
+        """Compute the block means of a frame, and the frame status from this frame alone; safe in any thread."""
         frame.blocks, frame.status = self._check.look(frame.views)
 
     def reseed(self) -> None:
-        """Request a reseeding of the points as soon as possible; from any thread."""
+        """Request a reseeding of the points as soon as possible; safe in any thread."""
         self._asked = True
 
     @property
     def under_way(self) -> int:
-        """Return the number of frames that have begun and are not finished."""
+        """Return the number of frames in progress: begun, but not finished."""
         return self._begun - self._finished
 
     def must_wait(self, frame: Frame) -> bool:
-        """Return whether all earlier frames must be finished before a frame begins."""
+        """Return whether a frame may begin only after all earlier frames are finished."""
         return bool(
             self._search.due(self._begun) is not None
             or self._due_change() is not None
@@ -251,7 +252,7 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Prepare a frame for computing; return its work, and the events and outcomes that precede it.
+        """Begin to process a frame: return the `Work` of the frame, and the events and outcomes due before it.
 
         Events are a seeding or a new key frame; the outcome is that of a deferred frame.
         """
@@ -267,7 +268,7 @@ class StreamTracker:
         return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
 
     def compute(self, work: Work) -> None:
-        """Track the points of a frame that has begun, and measure the threshold if requested; in any thread."""
+        """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
@@ -278,7 +279,7 @@ class StreamTracker:
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
-        """Finish a computed frame; return outcomes and events.
+        """Finish a computed frame, and return the frame outcomes and events that are now final.
 
         The outcomes are that of a deferred frame before it, and its own unless it is deferred too.
         """
@@ -296,7 +297,7 @@ class StreamTracker:
         return passed
 
     def _judged(self, work: Work, points: Points) -> list[FrameOutcome]:
-        """Decide whether a frame counts and return its outcome; none while the frame waits for its successor."""
+        """Decide whether a frame is usable and return the outcome; the list is empty if the next frame must decide."""
         frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
         if work.found is not None and work.guess is not None and frame.status in MEASURED:
@@ -314,9 +315,9 @@ class StreamTracker:
         return [self._accepted(work, resolved)]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
-        """Compute the results of a frame by variable name, without the frame axis; None if the frame does not count.
+        """Compute the results of one frame, by variable name; None for a frame that is not usable.
 
-        Frames are given in order, from any thread: tracking does not depend on the results.
+        Arrays have no frame axis. Frames are given in order, from any thread: tracking does not depend on the results.
         """
         if outcome.found is None or outcome.seeding is None:
             return None
@@ -327,11 +328,11 @@ class StreamTracker:
 
     @property
     def slipping(self) -> bool:
-        """Return whether skin in contact slips, according to the last frame with results."""
+        """Return the slip flag after the last frame with results: whether skin in contact slips."""
         return self._results.slipping
 
     def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
-        """Finalise the deferred frame once its successor has arrived, and return its outcome.
+        """Decide whether the deferred frame is usable once the next frame has arrived, and return the outcome.
 
         `following` is None if there is no successor. The deferred frame gives no threshold, reseeding or key frame:
         later frames may have begun, and their inputs must not depend on how far they have got.
@@ -346,12 +347,12 @@ class StreamTracker:
         return [self._accepted(work, resolved, late=True)]
 
     def _guess(self, number: int) -> Array | None:
-        """Predict positions from the motion known `lag` frames ago, even if newer frames have been finished."""
+        """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
         known = self._known.get(self._begun - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
     def _know(self, motion: _Known) -> None:
-        """Set the motion from which the next frames are predicted, as if it had been known for `lag` frames."""
+        """Set the point motion used for the next predictions, as if it had been known for `lag` frames."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
 
@@ -359,7 +360,7 @@ class StreamTracker:
         return max(1, number - self._latest.number) if self._latest is not None else 1
 
     def _touching(self, frame: Frame, threshold: float) -> float:
-        """Return the share of the contact view's pixels whose relative intensity loss exceeds the threshold."""
+        """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
         every = max(1, round((view.size / _PIXELS) ** 0.5))
         seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
@@ -388,14 +389,14 @@ class StreamTracker:
         return events
 
     def _seed(self, view: Array) -> Array:
-        """Detect corners (N, 2) px to track in a view (1, H, W), padded with NaN."""
+        """Detect corners in a view (1, H, W) as points to track: positions (N, 2) px, padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
         found = self._engine.detect(self._engine.images(view), self._settings.region, len(points))
         points[: len(found)] = found
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Reseed the points if this gives more points than are tracked, or, on a user's request, if it gives any."""
+        """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
@@ -403,7 +404,7 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Track newly seeded points (N, 2) px of a frame from now on; values counted from contact onset restart."""
+        """Start to track newly seeded points (N, 2) px; values counted from contact onset restart."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
@@ -416,7 +417,7 @@ class StreamTracker:
         return Event("restart", number, {"cause": cause, "points": self.found})
 
     def _rekey(self, change: _Change) -> Event:
-        """Take a newer key frame for the same points, which lie at `change.points` in it."""
+        """Replace the key frame of the tracked points by a newer frame, in which they lie at `change.points`."""
         assert self._points is not None
         known, motion = known_of(change.points), self._points.motion
         kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
@@ -431,7 +432,7 @@ class StreamTracker:
     # Outcome of a frame.
 
     def _skipped(self, work: Work, status: int) -> FrameOutcome:
-        """Return the outcome of a frame that does not count; no threshold is learnt from it."""
+        """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
         self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
@@ -462,7 +463,7 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Return the contact of a frame; the first thread that needs it computes it."""
+        """Return the contact of a frame, computed at the first call, in whichever thread that happens."""
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)

@@ -1,4 +1,4 @@
-"""Onset of contact: when and where a touch of each point begins."""
+"""Onset of contact: frame and position at which each skin point comes into contact with the glass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Touches of N points in each of F frames; NaN where a point has no touch.
+    """Touch of the glass by each of N points in each of F frames; NaN for points without a touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -36,7 +36,7 @@ class Touching(NamedTuple):
 
 
 class Touches:
-    """State of each point's touch of the glass, updated with each run of frames.
+    """Touches of the glass by all points, updated as frames are added.
 
     A touch shorter than `LASTING` frames is discarded: whether the border grazes a point is chance, and the skin keeps
     moving until the contact lasts. A lasting touch is kept, even if the contact leaves the point later.
@@ -64,7 +64,7 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames and return the touches of the points in each of them.
+        """Add F frames, and return the touches of all points in each of these frames.
 
         Args:
             frames: (F,) numbers of the frames.
@@ -118,12 +118,13 @@ class Touches:
 
 
 def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """Interpolate positions (F, N, 2) mm to the contact's border where a touch begins; also return the shares (F, N).
+    """Interpolate where (mm) and when, between two frames, the contact border passed points whose touch begins.
 
-    The first of the positions (F + 1, N, 2) and of the borders belongs to the frame before. A share is the fraction of
-    the step from the previous frame at which the border passed the point: depth inside the ellipse is interpolated
-    linearly between both frames. Where the ellipse is not crossed between them, the nearer end of the step is taken;
-    without an ellipse in the previous frame, its middle; and for a point that was lost there, its position now.
+    Return positions (F, N, 2) mm and shares (F, N). The first of the positions (F + 1, N, 2) and of the borders belongs
+    to the frame before. A share is the fraction of the step from the previous frame at which the border passed the
+    point: depth inside the ellipse is interpolated linearly between both frames. Where the ellipse is not crossed
+    between them, the nearer end of the step is taken; without an ellipse in the previous frame, its middle; and for a
+    point that was lost there, its position now.
     """
     share = np.ones(begins.shape, np.float32)
     if not begins.any():
@@ -143,7 +144,7 @@ def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, A
 
 
 def _pairs(places: Array) -> NDArray[np.complex128]:
-    """View positions (..., 2) as complex numbers (...), in the same memory.
+    """View positions (..., 2) as complex numbers x + i y, without copying.
 
     NumPy is several times slower over an axis of two.
     """

@@ -1,4 +1,4 @@
-"""Prediction of point positions in later frames, from position and speed."""
+"""Prediction of point positions in later frames, from the latest position and speed of each point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _AROUND = 8  # nearest points from which a new point takes its speed
 
 
 class PointMotion(NamedTuple):
-    """Position and speed of N points after a frame: found, predicted from their neighbours, or extrapolated.
+    """Position and speed of N points after a frame: measured, predicted from neighbours, or extrapolated.
 
     A speed is the mean of the displacements, the latest one with half the weight: the displacement between two
     positions alone would carry their noise on into all predicted frames.
@@ -38,12 +38,12 @@ class PointMotion(NamedTuple):
 
     @classmethod
     def at_rest(cls, points: Array) -> PointMotion:
-        """Return the motion of points (N, 2) px at rest."""
+        """Create the motion of points (N, 2) px that are at rest."""
         known = known_of(points)
         return cls(points, np.zeros_like(points), np.where(known, 0, _NEVER), known, np.zeros_like(known))
 
     def seeded(self, points: Array) -> PointMotion:
-        """Return the motion of newly seeded points (N, 2) px, with the speed of the tracked points around them.
+        """Create the motion of newly seeded points (N, 2) px, with the speed of tracked points nearby.
 
         The speed is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
         """
@@ -56,14 +56,14 @@ class PointMotion(NamedTuple):
         return others
 
     def expect(self, frames: int = 1) -> Array:
-        """Return the positions (N, 2) px predicted for a frame so many `frames` ahead."""
+        """Predict the positions (N, 2) px of the points `frames` frames ahead."""
         place: Array = self.place + self.speed * np.float32(min(frames, TRUSTED))
         return place
 
     def see(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
     ) -> PointMotion:
-        """Update the predicted motion by the positions found in a later frame.
+        """Return the motion updated by the positions measured in a later frame.
 
         Args:
             points: (N, 2) px, NaN where lost.
@@ -94,7 +94,7 @@ class PointMotion(NamedTuple):
         return PointMotion(points, change, missing, known, jolted)
 
     def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
-        """Return the motion after frames tracked in one engine call, which ended at `place` with `speed` (N, 2).
+        """Return the motion after frames tracked in one engine call, given the final positions and speeds (N, 2).
 
         Points lost in the last frame (`points`) take the position predicted from their neighbours where there is one.
         Other arguments are those of `see`.
@@ -105,6 +105,6 @@ class PointMotion(NamedTuple):
 
 
 def known_of(points: Array) -> Array:
-    """Return a mask (...) of the points (..., 2) that are known: both components are finite."""
+    """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
     known: Array = np.isfinite(points[..., 0] + points[..., 1])
     return known

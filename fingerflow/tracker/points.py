@@ -1,4 +1,4 @@
-"""Tracking of points from the key frame in which they were seeded through the frames after it."""
+"""Tracking of points through the frames after the key frame in which the points were seeded."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Knowledge of other frames while one frame is tracked, and limits of computing time.
+    """Conditions of tracking a recording or a stream: which other frames are known, and limits of computing time.
 
     Attributes:
         lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
@@ -58,7 +58,7 @@ STREAM = Knowledge(ahead=False, searched=ROWS, patience=TRUSTED)
 
 
 class _Pending(NamedTuple):
-    """Planned update of the templates with indices `rows` (L,), due before frame number `due`.
+    """Pending update of the templates with indices `rows` (L,), due before frame number `due`.
 
     `warp` (L, 2, 2) is the deformation of the new templates.
     """
@@ -70,7 +70,7 @@ class _Pending(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Tracked points of a frame after recovery and correction, before motion and templates are updated from it.
+    """Tracked points of a frame after recovery of lost points and correction, before motion and templates are updated.
 
     Attributes:
         corrected: (1, N) points.
@@ -84,7 +84,7 @@ class Resolved(NamedTuple):
 
 
 class Points:
-    """Tracker of N points from the key frame in which they were seeded: their templates, motion and deformation.
+    """Tracker of N points from the key frame in which they were seeded: holds templates, motion and deformation.
 
     The deformation of the skin around them is fitted to them and to A points that were seeded before and are known in
     the key frame too: points in a narrow band alone would not determine it.
@@ -139,7 +139,7 @@ class Points:
 
     @property
     def start(self) -> Array:
-        """Return the reference positions (N, 2) px, where the points were seeded."""
+        """Return the reference positions (N, 2) px of the points in the key frame."""
         return self._every[: len(self)]
 
     def __len__(self) -> int:
@@ -147,7 +147,7 @@ class Points:
 
     @property
     def as_seeded(self) -> FoundPoints:
-        """Return the tracking result (1, N) of the points in their own key frame."""
+        """Return the tracking result (1, N) for the key frame itself, with all points at the seeded positions."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
@@ -156,15 +156,15 @@ class Points:
         return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
 
     def pass_over(self, frames: int) -> None:
-        """Skip `frames` frames without information; points are predicted along their speed."""
+        """Skip `frames` frames in which points are not tracked; later predictions extrapolate over these frames."""
         self._gap += frames
 
     def expect(self, ahead: int = 1) -> Array:
-        """Return the positions (N, 2) px predicted `ahead` frames after the last one that was tracked or skipped."""
+        """Predict the positions (N, 2) px of the points, `ahead` frames after the last frame tracked or skipped."""
         return self.motion.expect(self._gap + ahead)
 
     def follow(self, images: Images, around: FoundPoints | None = None) -> Steps[FoundPoints]:
-        """Track the points through the next images (n, 1, h, w) and return the result (n, N).
+        """Track the N points through the next n images (n, 1, h, w), and return the result (n, N).
 
         `around` (n, A) is the result of the surrounding points. Estimates are the last known positions. Points of
         several recordings may be tracked in batched calls (`engines.together`).
@@ -185,7 +185,7 @@ class Points:
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
 
     def look(self, image: Images, guess: Array) -> FoundPoints:
-        """Track the points in one image near guesses (N, 2), without any update.
+        """Track the points in one image near guessed positions (N, 2), without updating motion or templates.
 
         Any thread may call it while other frames are tracked.
         """
@@ -194,14 +194,14 @@ class Points:
     def resolve(
         self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
     ) -> Resolved:
-        """Recover the points (1, N) that `look` lost in a frame, and correct all positions for the deformation.
+        """Recover the points (1, N) that `look` lost in a frame, and correct all positions for skin deformation.
 
         `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
         """
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
-        """Update motion and templates from a frame (1, N) that counts, verify its points, and return them.
+        """Update motion and templates from a usable frame, verify the points (1, N), and return them.
 
         `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
         begun.
@@ -212,15 +212,15 @@ class Points:
         return run_alone(self._verified(image, found))
 
     def changes(self, index: int) -> bool:
-        """Return whether template updates are due before the frame of this number; earlier frames must end first."""
+        """Return whether template updates are due before frame `index`; all earlier frames must finish first."""
         return any(one.due <= index for one in self._pending)
 
     def update_due(self, index: int) -> None:
-        """Carry out the template updates that are due before the frame of this number, in the order of planning."""
+        """Carry out the template updates that are due before frame `index`, in the order in which they were planned."""
         run_alone(self._updated(index))
 
     def prepare_ahead(self) -> None:
-        """Prepare a part of the templates of the next planned update, so that no frame waits for all of them.
+        """Prepare part of the templates of the next planned update, so that no frame waits for all of them.
 
         Any thread may call it while others track frames. A part is always a multiple of `ROWS`: sums of an exported
         graph differ in the last digit by a row's place in a call, and timing must not change results.
@@ -263,7 +263,7 @@ class Points:
         return (yield from self._finished_all(images, followed, around))
 
     def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
-        """Track all points, or those with indices `rows`, in one image near guesses."""
+        """Track all points, or those with indices `rows`, in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
         followed: Followed = yield Call(
             self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
@@ -277,7 +277,7 @@ class Points:
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
 
     def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
-        """Complete images that were tracked in one call: recover lost points, correct positions, update the motion."""
+        """Finish several images tracked in one call: recover lost points, correct positions, update the motion."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
             followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
@@ -288,7 +288,7 @@ class Points:
         return (yield from self._checked_templates(corrected, before.place, len(images)))
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
-        """Track points that were lost in any of several images again, frame by frame, with a search."""
+        """Recover points that were lost in any of several images: track them again frame by frame, with searches."""
         motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
@@ -305,7 +305,7 @@ class Points:
         return Followed(found, place, speed)
 
     def _ways_to_find(self, image: Images, rows: Array) -> tuple[Look, Search]:
-        """Return the functions by which `recover` tracks and searches for the points `rows` in an image.
+        """Return the tracking and the search function that `recover` applies to the points `rows` in an image.
 
         They number these points from 0.
         """
@@ -326,7 +326,7 @@ class Points:
     def _recovered(
         self, image: Images, guess: Array, found: FoundPoints, frames: int
     ) -> Steps[tuple[FoundPoints, Array | None, bool]]:
-        """Recover the lost points of a frame by tracking and searching again.
+        """Recover the lost points of a frame by tracking them again and by searching for them.
 
         Return the result, the points (N,) that were searched for (None if none), and whether many of the points that
         are not where their motion leads were found elsewhere, by a search or by several steps.
@@ -354,12 +354,12 @@ class Points:
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
-        """Predict positions (N, 2) px of points in a frame from the neighbours found in it so far."""
+        """Predict positions (N, 2) px in a frame from the neighbours of each point found in that frame so far."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 
     def _corrected(self, found: FoundPoints, around: FoundPoints) -> Steps[Corrected]:
-        """Mark outliers and correct the positions for the deformation.
+        """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
 
         With template "previous" the points are returned unchanged.
         """
@@ -379,7 +379,7 @@ class Points:
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
     def _judged(self, found: FoundPoints) -> Steps[FoundPoints]:
-        """Mark outliers: tracked points that deviate from their neighbours, or are far more uncertain than these."""
+        """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
         if self._neighbours is None:
@@ -393,7 +393,7 @@ class Points:
         return found
 
     def _known_of_templates(self, others: int) -> tuple[Array, Array]:
-        """Return the statistics and inverse deformation F_0^-1 of the templates of N points and A surrounding ones.
+        """Return the statistics and inverse deformations F_0^-1 of all templates, with defaults for surrounding points.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """
@@ -408,7 +408,7 @@ class Points:
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
     ) -> Steps[FoundPoints]:
-        """Check after some frames whether templates need an update; return the points found.
+        """Check whether templates need an update after some tracked frames, and return the tracked points.
 
         Their estimates are the last known positions. With template "previous" new templates are prepared from the last
         image.
@@ -426,7 +426,7 @@ class Points:
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _check_templates(self, warp: Array, shift: Array) -> None:
-        """Plan the update of templates whose window edges have shifted by more than `UPDATE_PX`.
+        """Plan an update of the templates whose window edges have shifted by more than `UPDATE_PX`.
 
         An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so
         fast that the update interval is shorter, it is due as soon as possible.
@@ -447,9 +447,9 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Verify the subsets of tracked points; return the points with their covariance since the key frame.
+        """Reject tracked points whose window differs from that in the key frame, and return all points.
 
-        Points that fail are NaN, with the status WINDOW_DIFFERS.
+        Covariances count from the key frame. Points that fail are NaN, with the status WINDOW_DIFFERS.
         """
         if self._knowledge.ahead:
             failed = yield from self._verification.check(images, found.points, found.status, self._last_warp())
@@ -466,13 +466,13 @@ class Points:
         return rejected(found, differs, TrackStatus.WINDOW_DIFFERS) if differs.any() else found
 
     def _last_warp(self) -> Array:
-        """Return the deformation gradient (N, 2, 2) of the skin at each point in the last frame; NaN if not known."""
+        """Return the deformation gradients (N, 2, 2) of the skin in the last frame; NaN where unknown."""
         assert self._last is not None
         warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
         return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
-        """Return the variance (n, N) of positions relative to the seeded skin: the sum over all steps so far."""
+        """Return the position variance (n, N) since the points were seeded: the sum over all frame-to-frame steps."""
         walked = self._walked + np.nan_to_num(variance).cumsum(0)
         self._walked = walked[-1:]
         result: Array = walked + 0 * variance
@@ -480,13 +480,13 @@ class Points:
 
 
 def beside(parts: list[FoundPoints]) -> FoundPoints:
-    """Concatenate the results of different points in the same frames."""
+    """Join the tracking results of several groups of points in the same frames."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
 
 
 def _last_seen(points: Array, before: Array) -> Array:
-    """Replace lost points among (n, N, 2) by their last known position.
+    """Replace the positions of lost points (n, N, 2) by the last known position of each point.
 
     In the first frame it is that of `before` (N, 2).
     """
@@ -500,7 +500,7 @@ def _last_seen(points: Array, before: Array) -> Array:
 
 
 def _update_interval(fastest: float) -> int:
-    """Return the update interval: frames to the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
+    """Return the number of frames until the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
 
     Within it, window edges that shift by `fastest` px a frame shift by `FASTEST_PX` at most, if 1 frame allows it.
     """

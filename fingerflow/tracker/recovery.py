@@ -1,4 +1,4 @@
-"""Lost-point recovery: search for points that registration did not find near their predictions."""
+"""Lost-point recovery: search for points that registration did not find near their predicted positions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Recovered(NamedTuple):
 
 
 def lost_points(status: Array) -> Array:
-    """Return a mask (...) of the lost points: with texture and inside the frame, but not found, or rejected."""
+    """Return a mask (...) of lost points, by status: not found, or rejected, though textured and inside the frame."""
     lost: Array = status >= TrackStatus.NOT_CONVERGED
     return lost
 
@@ -50,7 +50,7 @@ def recover(
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
 ) -> Steps[Recovered]:
-    """Recover lost points of a frame (1, N) by an exhaustive search around their guesses (N, 2).
+    """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2).
 
     If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
     tracked where their neighbours predict them. There are up to three rounds: after a jump of the skin, a few points
@@ -91,7 +91,7 @@ def recover(
 
 
 def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
-    """Reject points (1, L) whose backward search does not return to the start, with the status FORWARD_BACKWARD.
+    """Reject points (1, L) whose backward search misses the starting position, with the status FORWARD_BACKWARD.
 
     `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
     the start by at most the forward-backward limit plus 1 px, the accuracy of a search.
@@ -104,7 +104,7 @@ def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
 
 
 def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Return points (n, N) with those marked in `which` (n, N) rejected: without a position, with another status."""
+    """Reject the points marked in `which` (n, N): remove their positions, and set the given status."""
     points, covariance = found.points.copy(), found.covariance.copy()
     points[which] = covariance[which] = np.nan
     changed = np.where(which, np.uint8(status), found.status)
@@ -112,7 +112,7 @@ def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoin
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return points (n, N) with those of indices `rows` replaced by `again`."""
+    """Return tracking results (n, N) in which those of the points `rows` are replaced by `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

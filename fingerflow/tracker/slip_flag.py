@@ -1,4 +1,4 @@
-"""Slip flag of a stream, from the residual of the best rigid motion of the points in contact over its noise."""
+"""Slip flag of a stream: whether points in contact deviate from a rigid motion by more than noise."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SlipState(NamedTuple):
 
 
 class SlipFlag:
-    """Slip flag of a stream.
+    """Slip flag of a stream, raised when points in contact no longer move as a rigid body.
 
     It is raised two frames after the first frame that shows slip, plus the latency of a frame. Displacement counts from
     the position of each point when its contact began. Skin that spreads under a growing normal force is not rigid
@@ -50,7 +50,7 @@ class SlipFlag:
         self.slipping = False
 
     def follow_others(self, before: Array, points: Array) -> None:
-        """Transfer the displacement of the previous points to newly seeded points (N, 2) px.
+        """Transfer displacements since contact onset from the previous points to newly seeded points (N, 2) px.
 
         In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
@@ -67,7 +67,7 @@ class SlipFlag:
             self._held |= self.slipping
 
     def see(self, points: Array, std: Array, covered: Array) -> SlipState:
-        """Add the next frame, and return its slip residual and flag.
+        """Add the next frame, and return the slip residual and slip flag of that frame.
 
         Args:
             points: (N, 2) px, NaN where lost.
@@ -104,7 +104,7 @@ class SlipFlag:
 
 
 def rigid_residual_rms(before: Array, after: Array) -> float:
-    """Return the RMS residual, per component, of the best rigid motion from points `before` to `after` (Procrustes).
+    """Return the RMS residual per component after the best rigid motion of `before` onto `after` (Procrustes).
 
     Points (N,) are x + i y.
     """

@@ -1,4 +1,4 @@
-"""Check whether the frames of a stream are valid images of the trial, without later frames.
+"""Frame quality in a stream: detection of invalid images, without knowledge of later frames.
 
 Recordings are checked with later frames (`tracker.frame_returns`), where the limits common to both are defined.
 """
@@ -37,7 +37,7 @@ _FLICKER, _CHANGES = 8, 16  # changes of light, in so many frames, from which on
 
 
 class Blocks(NamedTuple):
-    """Block means of a frame, by which it is compared with other frames.
+    """Block means of a frame, for comparison with other frames.
 
     Attributes:
         means: (views, rows, columns).
@@ -51,7 +51,7 @@ class Blocks(NamedTuple):
 
 
 class FrameCheck:
-    """Detection of invalid frames of a stream, by their own light and by comparison with the last usable frame.
+    """Detection of invalid frames of a stream, by brightness and by comparison with the last usable frame.
 
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
     - Lost lines: lines of the contact view without light.
@@ -91,7 +91,7 @@ class FrameCheck:
         self._changes: deque[bool] = deque(maxlen=_CHANGES)  # whether light changed by more than half of the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[Blocks, int]:
-        """Compute the block means of all views (1, 1, H, W), and the frame's status without regard to other frames.
+        """Compute the block means of all views (1, 1, H, W), and the frame status from this frame alone.
 
         Any thread may call it.
         """
@@ -107,7 +107,7 @@ class FrameCheck:
         return blocks, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
     def see(self, number: int, blocks: Blocks, status: int, tracked: int, elsewhere: bool) -> int | None:
-        """Determine the status of the next frame by comparison with earlier ones; None if it is deferred.
+        """Determine the status of a frame by comparison with earlier frames; None if the following frame must decide.
 
         `settle` must then be called before the next frame is added.
 
@@ -153,7 +153,7 @@ class FrameCheck:
         return USABLE
 
     def settle(self, following: Blocks | None) -> int:
-        """Determine the status of the deferred frame from the next frame.
+        """Determine the status of the deferred frame by comparison with the frame that follows it.
 
         Args:
             following: block means of the next frame; None if there is none or it is not usable.
@@ -173,13 +173,13 @@ class FrameCheck:
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:
-    """Return the block means (rows, columns) of a view (H, W), and the means of the lines read."""
+    """Return the block means (rows, columns) of a view (H, W), and the means of the sampled lines."""
     blocks, lines = block_means(view[None])
     return blocks[0], lines[0]
 
 
 class _DoubtfulStep(NamedTuple):
-    """Frame that is not judged yet, with its grey-level distance from the last usable frame and the usual distance."""
+    """Deferred frame, with the image distance from the last usable frame, and the largest recent distance."""
 
     number: int
     blocks: Blocks
@@ -189,7 +189,7 @@ class _DoubtfulStep(NamedTuple):
 
 
 def _steps(blocks: Blocks, before: Blocks) -> Array:
-    """Return the distance of each row of blocks, of all views, from an earlier frame.
+    """Return the image distance of a frame from an earlier frame, for each row of blocks of all views.
 
     It is relative to the mean of each view.
     """
@@ -198,7 +198,7 @@ def _steps(blocks: Blocks, before: Blocks) -> Array:
 
 
 def _change_of_light(blocks: Blocks, before: Blocks) -> float:
-    """Return the change of light common to nine tenths of the blocks: the smallest |log ratio| among them.
+    """Return the change of light shared by nine tenths of the blocks: the smallest |log ratio| among these blocks.
 
     All of these blocks became lighter, or all became darker.
     """

@@ -1,4 +1,4 @@
-"""Subset verification: compare each point's window with its key-frame window, to detect points that left their skin."""
+"""Subset verification: comparison of each point's window with the key frame, to detect points on wrong skin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOISE = 3.0  # times the loss of correlation by the noise of two images
 
 
 class Verification:
-    """Comparison of each point's subset (window) in the key frame with the subset at its present position.
+    """Verification of tracked points: compares the present window of each point with the window in the key frame.
 
     The present subset is deformed by the gradient of the motion of the surrounding points, sampled in the image and
     correlated, independently of gain and offset. A point fails if 1 - correlation exceeds a limit and no other
@@ -39,7 +39,7 @@ class Verification:
     """
 
     def __init__(self, engine: Engine, image: Images, points: Array) -> None:
-        """Sample the subset of each point in the key frame `image` (1, 1, h, w); points are (N, 2) px."""
+        """Sample the window of each point (N, 2) px in the key frame `image` (1, 1, h, w)."""
         self._engine = engine
         straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight, STEP)
@@ -48,7 +48,7 @@ class Verification:
         self.failed = np.zeros(len(points), dtype=bool)
 
     def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Array]:
-        """Verify the points in some images, and return a mask (N,) of those whose positions there must be rejected.
+        """Verify the points in several images, and return a mask (N,) of the points to be rejected in these images.
 
         Positions are (n, N, 2) px, images (n, 1, h, w). Each point is checked once, in the last image in which it is
         tracked. A point that fails there, or failed at the check before, may have left its skin in any of these images.
@@ -90,7 +90,7 @@ class Verification:
     def _apart(
         self, images: Images, number: Array, places: Array, warp: Array, rows: Array | None = None
     ) -> Steps[Array]:
-        """Return 1 - correlation between the present windows and those of the key frame, of all points or of `rows`."""
+        """Return the dissimilarity, 1 - correlation, of present and key-frame windows, for all points or for `rows`."""
         now = yield from self._sampled(images, number, places, warp)
         then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
         result: Array = 1 - correlation_of(then, Centred.of(now))

@@ -1,4 +1,4 @@
-"""Schedule of a stream for measuring the threshold, reseeding and new key frames, by frame order alone."""
+"""Schedule of a stream: frames in which to measure the contact threshold, reseed, or take a new key frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 class ThresholdSearch:
-    """Schedule of the contact threshold: in which frames it is measured, and from which frame on it applies.
+    """Schedule of the contact threshold in a stream: when it is measured, and from which frame on it applies.
 
     The first frame and every fourth after it are tried until one shows contact. A threshold measured in a small contact
     is measured again whenever the contact has grown by a fourth.
@@ -27,16 +27,16 @@ class ThresholdSearch:
         self._found: tuple[int, float] | None = None
 
     def begin(self) -> None:
-        """Restart the search for a threshold after a reseeding; the one in use stays until contact is found."""
+        """Restart the search for a threshold after a reseeding; the threshold in use stays until contact is found."""
         self._searching, self._asked, self._found = True, None, None
 
     def due(self, index: int) -> float | None:
-        """Return the new threshold that applies from frame `index` on; None if the one in use stays."""
+        """Return the new threshold that applies from frame `index` on; None if the threshold in use stays."""
         found = self._found
         return found[1] if found is not None and index >= found[0] + self._lag else None
 
     def used(self) -> None:
-        """Record that the new threshold is now in use; all earlier frames have ended."""
+        """Record that the new threshold is now in use, after all earlier frames have finished."""
         self._searching, self._area, self._asked, self._found = False, math.nan, None, None
 
     def wants(self, index: int) -> bool:
@@ -46,12 +46,12 @@ class ThresholdSearch:
         return self._asked is not None and index == self._asked + self._lag
 
     def passed_over(self) -> None:
-        """Record that a frame does not count; a measurement planned for it is made in a later frame."""
+        """Record that a frame is not usable; a threshold measurement planned in this frame moves to a later one."""
         if self._asked is not None and self._found is None:
             self._asked = None
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
-        """Add a frame with its real contact area; return whether the threshold measured in it is to be used.
+        """Add a frame with its contact area; return whether the threshold measured in this frame is to be used.
 
         `measured` is the threshold found in it, NaN for none, None if it was not measured.
         """
@@ -70,7 +70,7 @@ REKEY = "rekey"  # cause of a new key frame for the same points
 
 
 class Upkeep:
-    """Schedule of reseedings and of new key frames, by the order and numbers of the frames alone.
+    """Schedule of reseedings and new key frames in a stream, by the number of tracked points and of frames.
 
     Args:
         share: a new key frame is taken when less than this share of its points is tracked, several frames in a row.
@@ -86,20 +86,20 @@ class Upkeep:
         self._found = self._keyed = self._few = self._lost = self._tried = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
-        """Record a reseeding before frame `index`: `found` points, seeded in the frame of number `key_frame`."""
+        """Record a reseeding before frame `index`, which gave `found` points in frame number `key_frame`."""
         self.keyed(key_frame, found)
         self._found, self._tried, self._lost = found, index, 0
 
     def keyed(self, key_frame: int, points: int) -> None:
-        """Record a new key frame and the number of points tracked from it."""
+        """Record a new key frame, and the number of points tracked from this frame."""
         self.key_frame, self._keyed, self._few = key_frame, points, 0
 
     def kept(self, index: int) -> None:
-        """Record that a reseeding before frame `index` was not made, as it would not have given more points."""
+        """Record that a reseeding before frame `index` was dropped, because it would not have given more points."""
         self._tried = index
 
     def see(self, index: int, number: int, tracked: int) -> str:
-        """Add a frame with its number of tracked points; return the cause of a change: "lost", `REKEY`, or ""."""
+        """Add a frame with a number of tracked points; return the cause of a change: "lost", `REKEY` or ""."""
         self._lost = self._lost + 1 if tracked < max(self._found / 2, 1) else 0
         self._few = self._few + 1 if tracked < self._share * self._keyed else 0
         if self._lost >= self._IN_A_ROW and index - self._tried >= self._RESTART:

@@ -1,4 +1,4 @@
-"""Correlation of windows in two images, and the deformation that matches them best, in NumPy.
+"""Correlation of windows in two images, and the deformation by which two windows match best, in NumPy.
 
 An engine samples the windows.
 """
@@ -24,20 +24,20 @@ _FARTHEST = 0.15  # largest change of a component of the deformation in one iter
 
 
 class Centred(NamedTuple):
-    """Windows (N, m) with their mean subtracted, and the variance (N,) of each window."""
+    """Windows (N, m) of m grey levels minus their mean, and the variance (N,) of each window."""
 
     part: Array
     variance: Array
 
     @classmethod
     def of(cls, windows: Array) -> Centred:
-        """Subtract from each window (N, m) its mean."""
+        """Subtract from each window (N, m) its mean grey level, and compute the variance."""
         part = windows - windows.mean(1, keepdims=True)
         return cls(part, np.square(part).mean(1))
 
 
 def correlation_of(first: Centred, second: Centred) -> Array:
-    """Return the normalised correlation (N,) of pairs of centred windows; NaN for blank windows.
+    """Return the normalised cross-correlation (N,) of pairs of centred windows; NaN for blank windows.
 
     It is independent of gain and offset.
     """
@@ -50,7 +50,7 @@ def correlation_of(first: Centred, second: Centred) -> Array:
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
 ) -> Steps[Array]:
-    """Fit the deformations (N, 2, 2) with which present windows match the earlier ones best, starting from `warp`.
+    """Fit the deformations (N, 2, 2) by which present windows match earlier windows best, starting from `warp`.
 
     Centres stay fixed. Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As
     the centre is fixed, a window with a wrong centre keeps a residual.

@@ -1,4 +1,4 @@
-"""Kernels as torch ops, the compiled counterparts of some ops; `serve` checks whether they can be used.
+"""Compiled kernels as torch ops; `serve` checks whether they can be used in place of other ops.
 
 They take plain tensors on the CPU, outside tracing, export and autograd. Their results equal those of the portable op
 bit for bit, or to rounding where a docstring says so. While torch compiles they are registered ops,

@@ -12,7 +12,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def constant_to_compiler(function: _F) -> _F:
-    """Mark a function as constant for the torch compiler, which then uses its result without tracing it.
+    """Mark a function whose result the torch compiler uses as a constant, without tracing the function.
 
     This does what `torch.compiler.assume_constant_result` does, without loading the compiler: a quarter of the start-up
     time.
@@ -22,7 +22,7 @@ def constant_to_compiler(function: _F) -> _F:
 
 
 def serve(*tensors: Tensor | None) -> bool:
-    """Return whether the compiled kernels may be used for these tensors in the present state of torch.
+    """Return whether the compiled kernels can be used for the given tensors in the present state of torch.
 
     They may while torch compiles, as registered ops (`torch_op`), but not while it traces or exports the portable form.
     """
@@ -38,7 +38,7 @@ def serve(*tensors: Tensor | None) -> bool:
 
 
 def is_recorded() -> bool:
-    """Return whether tracing, a dispatch mode or functorch intercepts torch ops; the compiler does not count."""
+    """Return whether tracing, a dispatch mode or functorch intercepts torch ops; the torch compiler is ignored."""
     return (
         torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
         or torch._C._len_torch_dispatch_stack() > 0

@@ -42,7 +42,7 @@ def torch_op(
         may_be_none = [type(None) in get_args(part) for part in parts]
 
         def whole(result: Any) -> Any:
-            """Replace None in a result by an empty tensor, as a torch op cannot return None."""
+            """Replace None in a result tuple by an empty tensor, because a torch op cannot return None."""
             if kind is Tensor:
                 return cast(_R, result)
             return tuple(torch.empty(0, device=_CPU) if part is None else part for part in result)
@@ -77,19 +77,19 @@ def torch_op(
 
 
 def _derived(arguments: tuple[Any, ...]) -> bool:
-    """Return whether autograd needs a derivative with respect to an argument; an opaque op has none."""
+    """Return whether any argument requires a gradient, which an opaque op cannot provide."""
     tensors = (one for one in arguments if isinstance(one, Tensor))
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:
-    """Return the types of the elements of a tuple type, named or not."""
+    """Return the element types of a tuple type or named tuple type."""
     named = _named(kind)
     return get_args(kind) if named is None else tuple(_of_tensors(part) for part in get_type_hints(named).values())
 
 
 def _named(kind: Any) -> Any:
-    """Return the class of a named tuple type, None for any other type."""
+    """Return the class of a named tuple type, or None for any other type."""
     named = get_origin(kind) or kind
     return named if hasattr(named, "_fields") else None
 

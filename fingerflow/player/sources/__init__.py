@@ -1,4 +1,4 @@
-"""Sources of frames of a stream; the modules of this folder with the attributes of `Reader` are found automatically."""
+"""Frame sources of a stream: modules in this folder that implement `Reader` are found automatically."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ class Reader(Protocol):
     READS: str  # the kind, in a word or two
 
     def reads(self, asked: Asked) -> bool:
-        """Return whether this module reads the requested file, judged by name and settings, without reading it."""
+        """Return whether this module reads the requested file, judged by file name and settings alone."""
 
     def open_frames(self, asked: Asked) -> Source:
-        """Open the requested file as a source of frames; raise an error that says what is wrong with it.
+        """Open the requested file or folder as a source of frames; raise an error that names the problem if that fails.
 
         Errors of other types than FingerflowError may occur.
         """
 
 
 def readers() -> list[Reader]:
-    """Return the reader modules in the order of their names; `open_video` takes files that none of them accepts."""
+    """Return all reader modules in alphabetical order; files that no reader module accepts go to `open_video`."""
     modules = (import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__))
     return [cast(Reader, module) for module in modules if hasattr(module, "reads")]
 
 
 def kinds() -> str:
-    """Return a text that lists the kinds of sources, for messages."""
+    """Return a text for messages that lists the kinds of frame sources."""
     return f"{', '.join(one.READS for one in readers())} or a video file"
 
 

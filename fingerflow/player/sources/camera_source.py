@@ -16,7 +16,7 @@ from fingerflow.player.sources.source import Source
 
 
 class CameraSource:
-    """Source that grabs frames from a camera by a callable.
+    """Source of frames that calls a function to grab each frame from a camera.
 
     It returns the next frame, or (ok, frame) as in OpenCV; its `close` is called if it has one.
 
@@ -58,7 +58,7 @@ class CameraSource:
 
 
 def open_camera(name: str) -> Source:
-    """Open the camera that ``module:factory`` creates; the factory returns a callable, see `CameraSource`.
+    """Open the camera given as ``module:factory``, where the factory returns a callable for `CameraSource`.
 
     Raises PlayerError where the factory cannot be imported or does not return a callable.
     """

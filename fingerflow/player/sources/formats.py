@@ -1,4 +1,4 @@
-"""Source of frames from recordings in the formats of `fingerflow.recordings` that need only NumPy or tifffile."""
+"""Source of frames from recordings, in those formats of `fingerflow.recordings` that need only NumPy or tifffile."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ log = logging.getLogger("fingerflow.player")
 
 
 def reads(asked: Asked) -> bool:
-    """Return whether the request is for a file with a suffix of these formats."""
+    """Return whether the requested file has a suffix of one of the supported recording formats."""
     return asked.path.is_file() and asked.path.suffix.lower() in _SUFFIXES
 
 

@@ -1,4 +1,4 @@
-"""Source of frames from a folder of images, one a frame, as camera software saves them; needs OpenCV."""
+"""Source of frames from a folder of image files, one image a frame; needs OpenCV."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def reads(asked: Asked) -> bool:
 
 
 def open_frames(asked: Asked) -> Source:
-    """Open a folder of images as a source of frames, in the order of the numbers in their names.
+    """Open a folder of images as a source of frames, in the order of the numbers in the file names.
 
     Raise PlayerError if it holds no images.
     """
@@ -61,5 +61,5 @@ def _images(cv2: Any, paths: list[Path]) -> Iterator[Array]:
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key of file names by which frame2 comes before frame10."""
+    """Return a sort key that orders file names by the numbers in them: frame2 before frame10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -22,7 +22,7 @@ def reads(asked: Asked) -> bool:
 
 
 def open_frames(asked: Asked) -> Source:
-    """Open a raw file as a source of its complete frames, memory-mapped.
+    """Open a raw file as a memory-mapped source of the complete frames in the file.
 
     Raise PlayerError without a given shape or without a complete frame.
     """

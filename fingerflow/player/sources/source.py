@@ -1,4 +1,4 @@
-"""Interface of frame sources, and the request with which one is opened."""
+"""Interface of frame sources, and the request from which a frame source is opened."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class RecordedFrames:
 
 
 def close_within(seconds: float, source: Source) -> None:
-    """Close a source; log a warning if that fails, and give up waiting after `seconds`."""
+    """Close a source of frames, but wait at most `seconds`; log a warning if that fails."""
 
     def close() -> None:
         try:

@@ -14,7 +14,7 @@ from fingerflow.schema.views import View
 
 
 def side_by_side(height: int, width: int) -> StreamScene:
-    """Return the scene of the synthetic source: topography on the left, contact on the right, one scale."""
+    """Return the scene of the synthetic source: topography view on the left, contact view on the right."""
     return StreamScene(
         contact=View((0, height), (width, 2 * width)),
         topography=View((0, height), (0, width)),
@@ -25,7 +25,7 @@ def side_by_side(height: int, width: int) -> StreamScene:
 
 
 class Synthetic:
-    """Source of endless frames of a pressed fingertip, drawn from formulas for half a period and then reused.
+    """Endless source of synthetic frames of a pressed fingertip, drawn from formulas.
 
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
     The divergence in a stream differs from that and may be negative, because each point's displacement counts from its
@@ -39,7 +39,7 @@ class Synthetic:
     half_period = 60  # frames
 
     def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
-        """Render the frames of half a period.
+        """Draw and store the frames of half a press period.
 
         `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
         """
@@ -66,7 +66,7 @@ class Synthetic:
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
-        """Set the source to continue from a frame number, and return it."""
+        """Continue with frame `number`, and return the source itself."""
         self._next = number
         return self
 
@@ -77,7 +77,7 @@ class Synthetic:
         return frame
 
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
-        """Return the true results of a frame.
+        """Return the true results in frame `number`, with which a measurement is compared.
 
         The divergence is included only for points seeded at the first restart, in frame 0.
         """
@@ -88,7 +88,7 @@ class Synthetic:
         return self._expected[place] | {"median_divergence": known[place]}
 
     def _place(self, number: int) -> int:
-        """Return the index at which the frame of this number is stored."""
+        """Return the buffer index at which frame `number` is stored."""
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
 
@@ -97,7 +97,7 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Draw the finger: return the brightness of its skin, about -1 to 1, and the share of light lost to contact.
+    """Draw a finger: return the brightness of the skin, about -1 to 1, and the share of light lost to contact.
 
     Both are (H, W) float32.
     """

@@ -1,4 +1,4 @@
-"""True results for the synthetic finger, from its formulas: areas, axes and divergence."""
+"""True results for the synthetic finger, from formulas: areas, axes of the contact ellipse and divergence."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _HALVINGS = 30
 
 
 class Pose(NamedTuple):
-    """Pose of skin and contact at a progress 0 to 1 of the synthetic press, in px; arrays if the progress is an array.
+    """Position, rotation and spread of the skin, and contact ellipse, in px, at a progress 0 to 1 of the press.
 
-    Skin that lies at u from the middle of the view at progress 0 lies at ``shift + spread R(turn) u``. The contact is
-    an ellipse about ``shift`` with the semi-axes ``semi`` along x and y.
+    Values are arrays if the progress is an array. Skin that lies at u from the middle of the view at progress 0 lies at
+    ``shift + spread R(turn) u``. The contact is an ellipse about ``shift`` with the semi-axes ``semi`` along x and y.
     """
 
     shift: tuple[Array | float, Array | float]
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def at(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
-        """Return the pose at a progress of the press, for views of (height, width) px."""
+        """Return the pose at a given progress of the press, in views of (height, width) px."""
         height, width = shape
         return cls(
             shift=(4 * progress, -2 * progress),
@@ -38,14 +38,14 @@ class Pose(NamedTuple):
         )
 
     def deformation(self) -> Array:
-        """Return the deformation gradient (..., 2, 2) of the skin since progress 0."""
+        """Return the deformation gradient (..., 2, 2) of the skin since the start of the press (progress 0)."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         turned: Array = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
         turned *= np.asarray(self.spread)[..., None, None]
         return turned
 
     def place(self, skin: Array) -> Array:
-        """Return the positions of skin points (..., 2) relative to the middle of the view.
+        """Return the present positions of skin points (..., 2) in px, relative to the middle of the view.
 
         `skin` are their positions at progress 0.
         """
@@ -54,7 +54,7 @@ class Pose(NamedTuple):
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Return the semi-axes of the visible contact: `semi`, scaled so that the shorter one is half a pixel less.
+        """Return the semi-axes of the visible contact ellipse: `semi`, shrunk so that the shorter is half a pixel less.
 
         At that border the contact has lost half of its light.
         """
@@ -62,14 +62,14 @@ class Pose(NamedTuple):
         return self.semi[0] * share, self.semi[1] * share
 
     def reach(self, skin: Array) -> Array:
-        """Return the radius of skin points (..., 2) relative to the contact's ellipse: below 1 in contact."""
+        """Return the normalised radius of skin points (..., 2) in the contact ellipse: below 1 in contact."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         a, b = self.seen_axes()
         return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
 
 
 def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
-    """Return the true areas in mm² and ellipse semi-axes in mm of a frame, by name.
+    """Return the true contact areas in mm² and ellipse semi-axes in mm of a frame, by name.
 
     Args:
         touching_px: number of pixels that have lost more than half of the light that contact can take.
@@ -84,7 +84,7 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Return the true median divergence over the contact, counted from each point's onset.
+    """Return the true median divergence over the contact, since each point's onset of contact.
 
     Points are seeded at progress 0. Skin u is touched at the progress p0(u) at which the growing contact reaches it:
     its displacement is x(u, p) - x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted

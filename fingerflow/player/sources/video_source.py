@@ -32,7 +32,7 @@ def open_video(path: Path, first: int) -> Source:
 
 
 def _frames(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
-    """Yield the frames (H, W) from `number` on, converted to grey; log where they are fewer than the file states."""
+    """Yield the grey frames (H, W) from `number` on; log a message if the video has fewer frames than stated."""
     stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     while (read := capture.read())[0]:
         frame, number = read[1], number + 1
