@@ -46,7 +46,7 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Return chains of ``count`` elements; nail and bone damping exist once, so they do not depend on ``count``."""
+        """Return chains of ``count`` elements with the parameters of a skin, for a shape (...) of parameter sets."""
         parameters = skin.for_elements(count)
 
         def number(name: str, of: SkinParameters = parameters) -> Tensor:
@@ -63,7 +63,7 @@ class Chains:
 
     @property
     def contact(self) -> Tensor:
-        """Return the plate's stiffness for each chain (...), N/m."""
+        """Return the contact stiffness of the plate for each chain (...), N/m."""
         return self.numbers[..., NUMBERS.index("contact")]
 
     def undeformed(self) -> Motion:
@@ -97,8 +97,8 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Advance all chains by ``duration`` s, or until forces balance to ``rest`` N, under loads (..., 2, 2): first and
-    last, by x and z.
+    """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N, under
+    loads (..., 2, 2): first and last, by x and z.
 
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.

@@ -19,7 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the shown unit."""
+    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis."""
 
     name: str
     values: Values
@@ -78,7 +78,7 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement of the points.
+    """Draw the length of the median displacement of the tracked points.
 
     For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
     `contact_area`.
@@ -189,7 +189,7 @@ def _from_zero(axes: Axes) -> Axes:
 
 
 def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw a figure with the curve of one variable."""
+    """Draw a figure that contains the curve of one variable alone."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 

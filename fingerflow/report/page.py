@@ -64,7 +64,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Figures of the page of a result."""
+    """Builder of the figures on the report page of a result."""
 
     result: xr.Dataset
 
@@ -79,7 +79,7 @@ class _Figures:
         return Drawn(name, inline_svg(figure, name, label))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of curves against the default abscissa; None if none of the variables is known.
+        """Return a section of the report with curves of given variables; None if none of these is known.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -97,7 +97,7 @@ class _Figures:
         return Section(title, panels, notes)
 
     def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw curves with the same settings, each named by its variable and its abscissa."""
+        """Draw one figure for each given variable, all with equal settings, named by variable and abscissa."""
         figures = []
         for draw_one, variable in given:
             on = draw_one(self.result, **settings)

@@ -136,8 +136,7 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return the answer of each trial, as a row of the file of answers for the same participant and trial; {} without
-    one.
+    """Return for each trial the row of its participant and trial number in a file of answers; {} without such a row.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """

@@ -101,7 +101,7 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """Return the frame of the largest force during contact; without forces, of the largest apparent area."""
+        """Return the frame of the largest force during contact; without forces, of the largest apparent contact."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None

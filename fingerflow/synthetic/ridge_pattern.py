@@ -33,7 +33,7 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """Orientation field of a ridge pattern; `step` (rad/mm) is the unit of its wave numbers, 0 if any is allowed."""
+    """Orientation field of a ridge pattern; wave numbers are multiples of `step` (rad/mm), or arbitrary if it is 0."""
 
     levels: Levels
     step: float

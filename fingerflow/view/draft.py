@@ -188,7 +188,7 @@ def _is_needed(table: str) -> bool:
 
 
 def _free(path: Path) -> Path:
-    """Return a path that no file has: the given one, or the same with a number."""
+    """Return a path at which no file exists: the given path, or that path with a number after the stem."""
     found, number = path, 2
     while found.exists():
         found, number = path.with_stem(f"{path.stem}-{number}"), number + 1

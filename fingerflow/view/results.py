@@ -182,7 +182,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 without any."""
+        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 if unknown."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")

@@ -48,7 +48,7 @@ class Session:
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Open in advance what the page requests first; errors are reported only when the page requests it."""
+        """Load the draft and the result in advance of the page's first requests; errors are ignored until then."""
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -56,7 +56,7 @@ class Session:
             self.setup()
 
     def ready(self) -> Facts:
-        """Import the modules for previews, which the first image does not need."""
+        """Import the modules for previews in advance of the first preview."""
         import fingerflow.view.preview  # noqa: F401
 
         return {"ready": True}
@@ -446,7 +446,7 @@ def _same_frames(result: Path, scene: Scene) -> bool:
 
 
 def _value_of(value: Any) -> Any:
-    """Return a value of the page; TOML text is parsed, and kept as text if it is invalid."""
+    """Return a value sent by the page; TOML text is parsed, and kept as text if it is invalid."""
     if not isinstance(value, dict) or "toml" not in value:
         return value
     try:

@@ -12,7 +12,8 @@ from fingerflow.models.observer.jackknife import jackknifed
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Change of the probability of the answer per unit of the metric, `effect`, with interval and two-sided p.
+    """Result of `mixed_model`: change `effect` of the answer's probability per unit of the metric, interval, two-sided
+    p.
 
     `trials` of `participants` were used; `missing` have no metric, or are alone in their participant and condition.
     """

@@ -37,7 +37,7 @@ class Sources:
 
     @cached_property
     def depth(self) -> Depth:
-        """Compute stress and strain at depth under these presses."""
+        """Compute stress and strain below the skin surface in the simulated presses."""
         return look_under(self.presses)
 
     @cached_property
@@ -46,7 +46,7 @@ class Sources:
         return press_field(Press())
 
     def difference(self, metric: str) -> str:
-        """Return the column of a metric's difference (comparison less reference), or the metric's own without one."""
+        """Return the name of the column with a metric's difference (comparison less reference), else the metric's."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
