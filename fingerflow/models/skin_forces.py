@@ -28,7 +28,7 @@ class Chain(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Return the centre of the undeformed half-circle, (2,) m, where the lines of tissue meet."""
+        """Return the centre (2,) m of the undeformed half-circle, where the lines of all tissue springs meet."""
         return np.array([0.0, self.radius])
 
     @property

@@ -18,7 +18,7 @@ _FIRST_STEP = 1e-6  # s
 
 @dataclass(frozen=True)
 class Motion:
-    """State of motion of many chains (...) of N elements, with the time and steps that led to it; float64, SI units."""
+    """State of motion of many chains (...) of N elements, with elapsed time and number of steps; float64, SI units."""
 
     place: Tensor  # (..., N, 2)
     bone: Tensor  # (..., 2)
@@ -28,7 +28,7 @@ class Motion:
     steps: Tensor  # (...) int64
 
     def single(self, index: int) -> State:
-        """Return a copy of the state of one chain, by its flat index, without velocity."""
+        """Return a copy of the state of the chain with a given flat index, without velocity."""
         count = self.place.shape[-2]
         place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]

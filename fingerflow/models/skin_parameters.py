@@ -1,4 +1,4 @@
-"""Parameters of the skin chain in SI units: sets of the paper, of the lab's code, and with the printed contact area."""
+"""Parameters of the skin chain in SI units: from the paper, from the lab's code, and for the printed contact area."""
 
 import math
 from dataclasses import dataclass, fields, replace

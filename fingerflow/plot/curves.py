@@ -27,7 +27,7 @@ class _Curve(NamedTuple):
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the gross and real contact area.
+    """Draw the apparent (gross) and the real contact area.
 
     Args:
         result: returned by `fingerflow.process`, or a result that was opened.
@@ -51,7 +51,7 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the semi-axes of the ellipse of the gross contact; arguments as for `contact_area`."""
+    """Draw the semi-axes of the ellipse of the apparent contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
     curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
     label = VARIABLES["ellipse_semi_axes"].with_unit("semi-axis")
@@ -59,7 +59,7 @@ def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median divergence and curl over the gross contact, with bands of two standard deviations.
+    """Draw the median divergence and curl over the apparent contact, with bands of two standard deviations.
 
     Arguments as for `contact_area`.
     """
@@ -71,7 +71,7 @@ def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median strain components over the gross contact; arguments as for `contact_area`."""
+    """Draw the median strain components over the apparent contact; arguments as for `contact_area`."""
     need(result, "median_strain")
     curves = [_curve(result, "median_strain", name, k) for k, name in enumerate(("exx", "eyy", "exy"))]
     return _draw(result, axes, against, curves, VARIABLES["median_strain"].axis_label, "Strain")

@@ -13,7 +13,7 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 
 def contact_outline(frame: xr.Dataset) -> Values | None:
-    """Return points (K, 2) on the ellipse of the gross contact, mm; None without contact."""
+    """Return points (K, 2) on the ellipse of the apparent contact, mm; None without contact."""
     known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
     if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None

@@ -33,7 +33,7 @@ def views_of(scene: Scene) -> tuple[str, ...]:
 
 
 def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
-    """Draw one view of a frame with real contact, ellipse of the gross contact, points and a scale bar.
+    """Draw one view of a frame with real contact, ellipse of the apparent contact, points and a scale bar.
 
     Args:
         result: returned by `fingerflow.process` for this scene.

@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Group of figures that are shown together; `kind` is their layout, a class of page.css."""
+    """Group of figures that are shown together; `kind` names the layout, a class of page.css."""
 
     label: str
     figures: list[Drawn]
@@ -276,7 +276,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map of a quantity has a value in any of these frames."""
+    """Return whether a map of a quantity has a value in any of the given frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -290,7 +290,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the overlay image that `fingerflow calibrate` wrote beside its file, in base64, or None."""
+    """Return the overlay image that `fingerflow calibrate` wrote beside the calibration file, in base64, or None."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

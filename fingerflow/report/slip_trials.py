@@ -118,7 +118,7 @@ def trial_figure(trial: SlipTrial) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Parse a dataclass stored as JSON in an attribute of a result; null becomes NaN, lists become tuples."""
+    """Return numbers stored as JSON in an attribute of a result, as a dataclass; null becomes NaN, lists tuples."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

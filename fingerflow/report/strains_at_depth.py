@@ -35,7 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under the presses' pressure and traction, and the viscoelastic strain that follows."""
+    """Compute half-space stress under simulated pressure and traction, and the resulting viscoelastic strain."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)

@@ -15,7 +15,7 @@ _LOADED = 0.2  # share of the largest normal force above which a load ratio is u
 
 
 class Telling(NamedTuple):
-    """Key frame: its index in the result, and the reason for its selection."""
+    """Key frame of a trial: index in the result, and reason for the selection."""
 
     frame: int
     why: str

@@ -189,7 +189,7 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return median, share of answers, index of the condition and participant, of each participant in each condition.
+    """Return a dot per participant and condition: a metric's median, share of answers, condition index, participant.
 
     Pairs without a known value are left out.
     """
@@ -274,7 +274,7 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
 
 
 def _of_anova(test: Anova) -> str:
-    """Return F with its degrees of freedom, p by participants, and the numbers of trials and participants."""
+    """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
     size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     if np.isnan(test.f):
         return f"no F, {size}"

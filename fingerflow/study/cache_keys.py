@@ -91,7 +91,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return the present state of an input file or folder; a digest is reused if size and time are unchanged."""
+    """Return size, time and digest of an input file or folder; a digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]

@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a run: numbers of planned and skipped trials, their outcomes, and the reason for an interruption."""
+    """Outcome of a run: numbers of planned and skipped trials, outcome of each trial, reason for an interruption."""
 
     planned: int
     skipped: int

@@ -162,7 +162,7 @@ class SlideMotion:
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Return the size of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
+        """Return the relative radius of the stuck ellipse, whose square is the stuck area share d²."""
         return 1 - self._peeling(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:

@@ -35,7 +35,7 @@ _LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fadi
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Classification of a trial by `judge_trial`, with the numbers behind it; NaN or -1 if not computable.
+    """Verdict on a trial by `judge_trial`, with all numbers that led to it; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".

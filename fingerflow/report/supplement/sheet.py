@@ -24,7 +24,7 @@ class SheetPanel:
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
-        """Return a panel of one axes, into which ``draw(axes, *values)`` draws."""
+        """Return a panel with a single axes, into which ``draw(axes, *values)`` draws."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
 

@@ -19,7 +19,7 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the figures: a tribometer trace and a table of trials with its design; the others are simulated."""
+    """Inputs of the supplement's figures: a tribometer trace, a table of trials with its design, and simulations."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -51,7 +51,7 @@ class Sources:
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """Return which input a panel of these metrics lacks; "" if the table of trials has all."""
+        """Return the missing input of a panel that shows these metrics, as text; empty if nothing is missing."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics
