@@ -32,7 +32,7 @@ class FrictionEpochs:
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return median and interquartile range of the epochs' medians, and the number of epochs, in each of A bins."""
+        """Return median and interquartile range of the sliding epochs' medians, and their number, in each of A bins."""
         return _summary(self.median)
 
 

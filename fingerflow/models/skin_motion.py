@@ -98,7 +98,7 @@ def moved(
     rest: Tensor | float,
 ) -> Motion:
     """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N, under
-    loads (..., 2, 2): first and last, by x and z.
+    loads (..., 2, 2) at the first and the last time, along x and z.
 
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.

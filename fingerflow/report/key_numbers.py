@@ -65,7 +65,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the standard deviation (F,) of a series from a parabola fitted to the 11 frames around each frame.
 
-    It measures how well a frame repeats its neighbours, not an error that they have in common.
+    It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """
     found = np.full(len(values), np.nan)
     if len(values) < _WINDOW:

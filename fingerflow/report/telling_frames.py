@@ -25,11 +25,11 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
     """Select at most five key frames of a result by normal force, load ratio, displacement or contact, in order of
     time.
 
-    If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
-    load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft
-    sensor: the largest displacement, half of it, and the first gross slip. Otherwise, or if fewer than two are found:
-    the largest contact, the last frame in contact, and half of the largest. Frames without known fields (or contact)
-    are left out; the list is empty if all are.
+    Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
+    and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
+    half of the largest, and a frame while sliding. For a soft sensor: the largest displacement, half of it, and the
+    first gross slip. Otherwise, or if fewer than two are found: the largest contact, the last frame in contact, and
+    half of the largest. Frames without known fields (or contact) are left out; the list is empty if all are.
     """
     known = _known(result)
     if not known.any():

@@ -1,4 +1,4 @@
-"""Tables of scene files as values by dotted keys, "tracking.points", and back."""
+"""Conversion between tables of scene files and flat values with dotted keys, such as `tracking.points`."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Figures of a study: those of the paper's supplement that its table of trials supports, and curves against force."""
+"""Figures of a study: those of the paper's supplement that the table of trials supports, and curves against force."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Manifest of a study, `study.toml`: its recordings, their shared scene, and what is known about each trial."""
+"""Manifest of a study, `study.toml`: recordings, the scene that they share, and what is known about each trial."""
 
 import difflib
 import os
@@ -131,7 +131,7 @@ def load_manifest(path: str | Path) -> Manifest:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, which need not contain it, with slashes."""
+    """Return a path relative to a folder, with slashes, even if the path lies outside that folder."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 

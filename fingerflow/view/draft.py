@@ -75,7 +75,7 @@ class Draft:
         return dict(self._document.unwrap())
 
     def table(self, name: str) -> dict[str, Any]:
-        """Return the values of a table; none if it is missing, or is no table, which `problems` reports."""
+        """Return the values of a table of the draft; empty if the table is missing or invalid, see `problems`."""
         found = self.values().get(name)
         return found if isinstance(found, dict) else {}
 

@@ -167,7 +167,7 @@ class Results:
         return _csv(columns)
 
     def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """List all variables with these dimensions for the page, one entry for each component."""
+        """List all variables with the given dimensions for the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]

@@ -105,7 +105,8 @@ class Session:
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return the image of a frame (index in the file), packed, with the predicted contact if the scene is valid."""
+        """Return the image of a frame (index in the file) and, for a valid scene, predicted contact, as packed bytes.
+        """
         with self._lock:
             pictures = self._pictures_of_draft()
             if not 0 <= frame < len(pictures.recording):
@@ -124,7 +125,7 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """Return the points that `process` would seed, packed."""
+        """Return the points that `process` would seed, as packed bytes."""
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -132,7 +133,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return the draft's forces at the times of the frames, its calibration and warnings, packed."""
+        """Return the draft's forces at the times of the frames, image calibration and warnings, as packed bytes."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -285,7 +286,7 @@ class Session:
             return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
-        """Return a frame of the result (index from 0), packed, with its image if the recording can be read."""
+        """Return a frame of the result (index from 0) as packed bytes, with an image if the recording can be read."""
         with self._lock:
             result = self._opened_result()
             numbers, arrays = result.frame(frame, shown)
@@ -308,12 +309,12 @@ class Session:
             return {"key": key, "range": self._opened_result().range_of(key)}
 
     def triangles(self) -> bytes:
-        """Return the corners of the result's triangles, packed."""
+        """Return the corners of the result's triangles as packed bytes."""
         with self._lock:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series of the result for several keys, packed."""
+        """Return time series of the result for several keys, as packed bytes."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})

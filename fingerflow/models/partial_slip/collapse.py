@@ -1,4 +1,4 @@
-"""Collapse of a stuck area at constant load: where d^2 no longer follows T/N, without a friction law."""
+"""Collapse of a stuck area at constant load, found without a friction law: the time when d^2 stops following T/N."""
 
 import math
 from dataclasses import dataclass
