@@ -73,7 +73,7 @@ class Chains:
         return Motion(self.reference, bone, rubbed, none + _FIRST_STEP, none, none.long())
 
     def single(self, index: int) -> Chain:
-        """Return the parameters of one chain, by its flat index."""
+        """Return the parameters of the chain with a given flat index."""
         count = self.reference.shape[-2]
         numbers = self.numbers.reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)

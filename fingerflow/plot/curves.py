@@ -146,7 +146,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the standard deviation of tracked positions: its median and 0.9 quantile over the points.
+    """Draw the standard deviation of tracked positions: median and 0.9 quantile over the points.
 
     By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.
@@ -164,7 +164,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Check that a result has all of these variables; raise FingerflowError otherwise."""
+    """Check that a result has all of the given variables; raise FingerflowError otherwise."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"

@@ -1,4 +1,4 @@
-"""Table of a trial's main quantities at its key frames, with their uncertainty."""
+"""Table of a trial's main quantities, with uncertainty, at the key frames of the trial."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""HTML report of a result: one page that contains its figures, numbers and settings."""
+"""HTML report of a result: one page that contains all figures, numbers and settings."""
 
 import base64
 import json

@@ -160,7 +160,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row of trials for each file name that matches a pattern with names in braces, sorted by file name."""
+    """Return a row of the table of trials for each file name that matches a pattern with names in braces, sorted."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()

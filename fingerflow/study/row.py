@@ -171,7 +171,7 @@ class _Trial:
 
     @cached_property
     def _grid(self) -> list[Moment | None]:
-        """Return the moments at which the normal force first reaches each force of `FORCE_GRID`."""
+        """Return the moments at which the normal force first reaches each of the forces in `FORCE_GRID`."""
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:

@@ -1,4 +1,4 @@
-"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of its skin depends on friction."""
+"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of the skin depends on friction."""
 
 import math
 from dataclasses import dataclass

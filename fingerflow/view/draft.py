@@ -1,4 +1,4 @@
-"""Draft of a scene file that the page edits: its values, its problems, and writing it to disk."""
+"""Draft of a scene file that the page edits: values, problems, and writing to disk."""
 
 from pathlib import Path
 from typing import Any
@@ -128,7 +128,7 @@ class Draft:
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Set the kind of the scene; views that do not fit the kind are replaced by its default views.
+        """Set the kind of the scene; views that do not fit the kind are replaced by default views of that kind.
 
         Raises:
             FingerflowError: unknown kind.
@@ -145,7 +145,7 @@ class Draft:
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Check the draft as `process` would, then write the scene file and return its path.
+        """Check the draft as `process` would, then write it as the scene file and return the path of that file.
 
         Raises:
             NeedsLeaveError: a file exists with other content than was read, and `replace` is false.

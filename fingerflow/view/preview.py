@@ -1,4 +1,4 @@
-"""Preview of what `process` will compute, for one frame: the same stages, run for that frame only."""
+"""Preview of what `process` will compute for one frame, by stages of `process` that run for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -74,7 +74,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """Return the draft for the page: its values, its problems, and facts about its recording."""
+        """Return the draft for the page: values and problems of the draft, and facts about the recording."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -105,8 +105,7 @@ class Session:
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return the image of a frame (index in the file) and, for a valid scene, predicted contact, as packed bytes.
-        """
+        """Return the image of a frame (index in the file) as packed bytes, for a valid scene with predicted contact."""
         with self._lock:
             pictures = self._pictures_of_draft()
             if not 0 <= frame < len(pictures.recording):
@@ -270,7 +269,7 @@ class Session:
     # Looking at results.
 
     def result(self) -> Facts:
-        """Return facts about the result, the views of its scene, and its recording."""
+        """Return facts about the result, about the scene's views and about the recording."""
         with self._lock:
             result = self._opened_result()
             facts = result.facts()
