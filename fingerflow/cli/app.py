@@ -16,19 +16,19 @@ Overwrite = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """Run `fingerflow.process` with a progress bar unless `quiet`; torch is imported only here."""
+    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; the import of torch waits until then."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
 
 
 def tell(facts: Any, text: str, as_json: bool) -> None:
-    """Print facts as JSON for machines, or else text."""
+    """Print facts as JSON if requested, else a text for human readers."""
     typer.echo(json.dumps(facts, indent=1) if as_json else text)
 
 
 def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
-    """Print facts as JSON for machines, or else one a line."""
+    """Print facts as JSON if requested, else one fact per line."""
     tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 

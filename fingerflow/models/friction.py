@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Friction(NamedTuple):
-    """Friction forces (N,) on N elements after a slide, with derivatives along the plate and normal to it."""
+    """Friction forces (N,) on N elements after a slide, and their derivatives by position along and above the plate."""
 
     force: Array
     along: Array

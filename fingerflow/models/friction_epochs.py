@@ -22,7 +22,7 @@ _LEAST_SAMPLES = 8  # per epoch
 
 @dataclass(frozen=True)
 class FrictionEpochs:
-    """Friction coefficients of E epochs in A bins of vibration amplitude; NaN where an epoch has no sample in a bin."""
+    """Friction coefficients in E sliding epochs and A bins of vibration amplitude; NaN in a bin without samples."""
 
     start: Tensor  # (E,) int64, first sample
     stop: Tensor  # (E,) int64, one past the last sample
@@ -32,7 +32,7 @@ class FrictionEpochs:
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return median and interquartile range of the epoch medians, and the number of epochs, for each of A bins."""
+        """Return median and interquartile range of the sliding epochs' medians, and their number, in each of A bins."""
         return _summary(self.median)
 
 
@@ -47,7 +47,7 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Compute the friction coefficient |T| / N of every epoch in bins of vibration amplitude.
+    """Compute the friction coefficient |T| / N of every sliding epoch in bins of vibration amplitude.
 
     The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
     from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
@@ -101,7 +101,7 @@ def friction_epochs(
 def _rises(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return when (s) a sinusoid fitted to the vibration amplitude begins to rise, and (T,) its relative |da/dt|."""
+    """Return the times (s) at which a fitted sinusoidal amplitude begins to rise, and its relative |da/dt| (T,)."""
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -118,7 +118,7 @@ def _rises(
 
 
 def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the weighted median and interquartile range; NaN without weight.
+    """Return the weighted median and interquartile range of values; NaN if all weights are 0.
 
     A value stands at the middle of its weight in the distribution; between values the quantile is linear.
     """
@@ -141,7 +141,7 @@ def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def _checked(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Check a tribometer trace, and return time, |T| / N, position and amplitude as float64."""
+    """Check a tribometer trace, and return time, |T| / N, position and vibration amplitude as float64."""
     if time.ndim != 1 or len(time) < 3:
         raise ValueError(f"time is {tuple(time.shape)}: give (T,), three samples or more")
     for name, signal in signals.items():

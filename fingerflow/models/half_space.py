@@ -30,7 +30,7 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
 
 
 class Stress(NamedTuple):
-    """Stress in a half-space in the unit of the load, tension positive; tau_yz > 0: upper side pulled along -y."""
+    """Stress in a half-space, in the unit of the load; tension and a pull of the upper side along -y are positive."""
 
     sigma_y: Tensor
     sigma_z: Tensor
@@ -40,7 +40,7 @@ class Stress(NamedTuple):
 def stress(
     y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
 ) -> Stress:
-    """Compute the stress at points (y, z) under a load that is constant on each of M surface strips, exact to rounding.
+    """Compute the stress at points (y, z) of a half-space under a load that is constant on each of M surface strips.
 
     Args:
         y: position along the surface, in the unit of the edges; y and z broadcast to a shape S.
@@ -87,7 +87,7 @@ def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Compute kernel integrals over load strips from r at both ends of each strip, ``first`` being the greater one."""
+    """Integrate four stress kernels over load strips, given signed distances along the surface to both strip ends."""
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
     between = first + second

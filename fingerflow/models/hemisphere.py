@@ -18,8 +18,8 @@ _SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of
 
 
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the compression (L - a) / L of an arc L pressed flat to radius a, in the broadcast shape; exact to
-    rounding.
+    """Return the compression (L - a) / L of a skin arc of length L that is pressed flat to radius a, exact to rounding
+    and in the broadcast shape of the arguments.
 
     A frictionless contact releases this compression, a sticking one retains it: about 10 % at 3 mm and a radius of
     10 mm. It is differentiable, also at delta = 0, where it is delta / (3 R).
@@ -39,13 +39,13 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the arc length L = R arccos((R - delta) / R), unit of both; arguments and errors as in `radial_strain`."""
+    """Return the length R arccos((R - delta) / R) of the flattened skin arc; for arguments see `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the contact radius sqrt(R^2 - (R - delta)^2), unit of both; arguments and errors as in `radial_strain`."""
+    """Return the contact radius sqrt(R^2 - (R - delta)^2) of a hemisphere; for arguments see `radial_strain`."""
     ratio, radius = _ratio(delta, radius)
     return radius * (ratio * (2 - ratio)).sqrt()
 
@@ -66,7 +66,7 @@ def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tenso
 
 
 def _worst(values: Tensor, allowed: Tensor) -> float:
-    """Return the first value that violates a condition, for an error message."""
+    """Return the first value that violates a condition or is not finite, for an error message."""
     wrong = values[~(allowed & values.isfinite())]
     return float((wrong if len(wrong) else values).flatten()[0])
 

@@ -54,7 +54,7 @@ REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain coun
 
 @dataclass(frozen=True)
 class PressedChain:
-    """State of pressed skin chains of N elements; dimensions (...) are times T, for `follow`, then parameters."""
+    """State of pressed skin chains of N elements, for every parameter set (...) and, from `follow`, T times first."""
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
     displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
@@ -73,7 +73,7 @@ class PressedChain:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the surface load under all contacts for `half_space.stress`: edges (..., M + 1) in m, pressure and
+        """Return the surface load of touching elements for `half_space.stress`: edges (..., M + 1) in m, pressure and
         traction (..., M) in Pa. Raises ValueError if nothing touches.
         """
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
@@ -170,7 +170,7 @@ def follow(
 
 
 def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the chains for all parameter sets, with their undeformed state of motion."""
+    """Return the skin chains of all parameter sets, and their undeformed state, from which a simulation begins."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]
@@ -183,7 +183,7 @@ def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, 
 
 
 def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether the load is a prescribed motion."""
+    """Return the loads (..., 2) along x and z, and for each direction whether motion is prescribed instead of force."""
     load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m
@@ -254,7 +254,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """Return which share (..., N - 1) of each link between two elements lies on the plate.
+    """Return the share (..., N - 1) of each link between neighbouring elements that lies on the plate.
 
     Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
     length has no jumps.
@@ -273,7 +273,7 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
 
 
 def _between_neighbours(values: Tensor) -> Tensor:
-    """Return central differences (..., N): half the difference of both neighbours; one-sided at the ends."""
+    """Return half the difference between each element's two neighbours (..., N); one-sided differences at the ends."""
     inside = (values[..., 2:] - values[..., :-2]) / 2
     ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
     return torch.cat((ends[0], inside, ends[1]), -1)

@@ -42,8 +42,8 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Fit friction and tissue stiffness k_t by least squares in their logarithms; plate stiffness keeps its ratio to
-    k_t.
+    """Fit friction and tissue stiffness k_t of a skin chain by least squares in their logarithms, at a constant ratio
+    of plate stiffness to k_t.
 
     Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
     stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks
@@ -80,7 +80,7 @@ def fit_skin(
     first = begin[free]
 
     def at(logarithms: Tensor) -> Tensor:
-        """Return the residuals (S, count) of S parameter sets, given as logarithms; all presses run in one batch."""
+        """Return the residuals (S, count) at S parameter sets, given as logarithms; all presses run in one batch."""
         both = torch.from_numpy(begin).repeat(len(logarithms), 1)
         both[:, torch.from_numpy(free)] = logarithms
         mu, tissue = both.exp()[..., None].unbind(1)

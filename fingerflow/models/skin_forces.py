@@ -28,7 +28,7 @@ class Chain(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Return the centre of the undeformed half-circle, (2,) m, where the lines of tissue meet."""
+        """Return the centre (2,) m of the undeformed half-circle, where the lines of all tissue springs meet."""
         return np.array([0.0, self.radius])
 
     @property
@@ -50,7 +50,7 @@ def half_circle(count: int, radius: float) -> Array:
 
 
 def elastic_forces(chain: Chain, nodes: Array) -> Array:
-    """Compute the forces (N + 1, 2) on the nodes: the negative gradient of the energy of links, tissue, nail, plate."""
+    """Compute elastic forces (N + 1, 2) on elements and bone: the negative gradient of the elastic energy."""
     place, bone = nodes[:-1], nodes[-1]
     pull = chain.membrane * np.diff(place - chain.reference, axis=0)
     moved, line = place - chain.reference - bone, place - chain.centre - bone

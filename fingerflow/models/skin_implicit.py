@@ -90,7 +90,8 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    """Return the factor for the next step length by the error of this one: a power of 2^(1/4), from 2^(-7/4) to 2.
+    """Return the factor by which the time step grows: a power of 2^(1/4), from 2^(-7/4) to 2, by the error of the last
+    step.
 
     The coarse grid keeps rounding in the error from changing the step lengths.
     """
@@ -153,7 +154,7 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve the implicit equation damping (X - known) = c forces(X) by Newton's method; return nodes, friction and last
+    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method; return X, friction and last
     matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's

@@ -18,7 +18,7 @@ _FIRST_STEP = 1e-6  # s
 
 @dataclass(frozen=True)
 class Motion:
-    """State of motion of many chains (...) of N elements, with the time and steps that led to it; float64, SI units."""
+    """State of motion of many chains (...) of N elements, with elapsed time and number of steps; float64, SI units."""
 
     place: Tensor  # (..., N, 2)
     bone: Tensor  # (..., 2)
@@ -28,7 +28,7 @@ class Motion:
     steps: Tensor  # (...) int64
 
     def single(self, index: int) -> State:
-        """Return a copy of the state of one chain, by its flat index, without velocity."""
+        """Return a copy of the state of the chain with a given flat index, without velocity."""
         count = self.place.shape[-2]
         place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]
@@ -46,7 +46,7 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Return chains of ``count`` elements; nail and bone damping exist once, so they do not depend on ``count``."""
+        """Return chains of ``count`` elements with the parameters of a skin, for a shape (...) of parameter sets."""
         parameters = skin.for_elements(count)
 
         def number(name: str, of: SkinParameters = parameters) -> Tensor:
@@ -63,7 +63,7 @@ class Chains:
 
     @property
     def contact(self) -> Tensor:
-        """Return the plate's stiffness for each chain (...), N/m."""
+        """Return the contact stiffness of the plate for each chain (...), N/m."""
         return self.numbers[..., NUMBERS.index("contact")]
 
     def undeformed(self) -> Motion:
@@ -73,7 +73,7 @@ class Chains:
         return Motion(self.reference, bone, rubbed, none + _FIRST_STEP, none, none.long())
 
     def single(self, index: int) -> Chain:
-        """Return the parameters of one chain, by its flat index."""
+        """Return the parameters of the chain with a given flat index."""
         count = self.reference.shape[-2]
         numbers = self.numbers.reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
@@ -97,8 +97,8 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Advance all chains by ``duration`` s, or until forces balance to ``rest`` N, under loads (..., 2, 2): first and
-    last, by x and z.
+    """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N, under
+    loads (..., 2, 2) at the first and the last time, along x and z.
 
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.

@@ -18,7 +18,7 @@ _SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as roundin
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """Press as seen since contact, at T times and M elements from the axis outward; lengths in m, NaN off contact."""
+    """Displacement and divergence since contact, at T times and M elements from the axis outward; NaN off contact."""
 
     radius: Tensor  # (T, ..., M) distance from the axis now
     displacement: Tensor  # (T, ..., M) outward since the onset
@@ -90,7 +90,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
 
 
 def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
-    """Return the radial derivative of odd values (..., M) by central differences, one-sided at the outer end."""
+    """Return the radial derivative of values (..., M) that are odd in the radius; one-sided at the outer end."""
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
     place = torch.cat((-at[..., mirrored], at), -1)

@@ -1,4 +1,4 @@
-"""Parameters of the skin chain in SI units: sets of the paper, of the lab's code, and with the printed contact area."""
+"""Parameters of the skin chain in SI units: from the paper, from the lab's code, and for the printed contact area."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -11,7 +11,7 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Mechanical parameters of the skin, for an element in a chain of 501; tensors of one shape give many chains."""
+    """Mechanical parameters of the skin per element of a chain of 501; tensors of one shape stand for many chains."""
 
     radius: Number  # m, of the half-circle
     membrane_stiffness: Number  # N/m, k_m of the link between two neighbours
@@ -24,7 +24,7 @@ class SkinParameters:
     width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """Return the skin in ``count`` elements: link stiffness is inverse to element length, all else proportional."""
+        """Return this skin in ``count`` elements: link stiffness inverse to element length, all else proportional."""
         finer = (count - 1) / 500
         return replace(
             self,

@@ -69,7 +69,8 @@ def viscoelastic_strain(
 
 
 def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weights of the equilibrium strain at a step's beginning and at its end, for x = rate times step.
+    """Return the weights of the equilibrium strain at the start and the end of a time step, for x = relaxation rate
+    times step.
 
     They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
     """
@@ -81,7 +82,7 @@ def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _late(x: Tensor) -> Tensor:
-    """Return (x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
+    """Return the weight at the end of a time step: (x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
     total = torch.zeros_like(x)
     for k in range(14, 0, -1):
         total = x * (1 / math.factorial(k + 1) - total)

@@ -8,7 +8,7 @@ BAND = 2.0  # standard deviations that a band shows on either side
 
 
 def given_or_new(axes: Axes | None, width: float = 4.6, height: float = 3.3) -> Axes:
-    """Return the given axes, or those of a new figure of this size in inches."""
+    """Return the given axes, or the axes of a new figure of a given size in inches."""
     return Figure(figsize=(width, height), layout="constrained").subplots() if axes is None else axes
 
 

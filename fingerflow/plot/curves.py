@@ -19,7 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the shown unit."""
+    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis."""
 
     name: str
     values: Values
@@ -27,7 +27,7 @@ class _Curve(NamedTuple):
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the gross and real contact area.
+    """Draw the apparent (gross) and the real contact area.
 
     Args:
         result: returned by `fingerflow.process`, or a result that was opened.
@@ -51,7 +51,7 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the semi-axes of the ellipse of the gross contact; arguments as for `contact_area`."""
+    """Draw the semi-axes of the ellipse of the apparent contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
     curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
     label = VARIABLES["ellipse_semi_axes"].with_unit("semi-axis")
@@ -59,7 +59,7 @@ def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median divergence and curl over the gross contact, with bands of two standard deviations.
+    """Draw the median divergence and curl over the apparent contact, with bands of two standard deviations.
 
     Arguments as for `contact_area`.
     """
@@ -71,14 +71,14 @@ def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the median strain components over the gross contact; arguments as for `contact_area`."""
+    """Draw the median strain components over the apparent contact; arguments as for `contact_area`."""
     need(result, "median_strain")
     curves = [_curve(result, "median_strain", name, k) for k, name in enumerate(("exx", "eyy", "exy"))]
     return _draw(result, axes, against, curves, VARIABLES["median_strain"].axis_label, "Strain")
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement of the points.
+    """Draw the length of the median displacement of the tracked points.
 
     For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
     `contact_area`.
@@ -146,7 +146,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the standard deviation of tracked positions: its median and 0.9 quantile over the points.
+    """Draw the standard deviation of tracked positions: median and 0.9 quantile over the points.
 
     By default against time; the frame in which points are seeded, where all are 0, is left out. Arguments as for
     `contact_area`.
@@ -164,7 +164,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Check that a result has all of these variables; raise FingerflowError otherwise."""
+    """Check that a result has all of the given variables; raise FingerflowError otherwise."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -189,7 +189,7 @@ def _from_zero(axes: Axes) -> Axes:
 
 
 def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw a figure with the curve of one variable."""
+    """Draw a figure that contains the curve of one variable alone."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 

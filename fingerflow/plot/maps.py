@@ -25,7 +25,7 @@ _MARGIN_MM = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity of a map.
+    """Quantity that a map shows, computed from a variable of the result.
 
     Attributes:
         title: of the map.
@@ -41,7 +41,7 @@ class Quantity:
 
     @property
     def of_triangles(self) -> bool:
-        """Return whether values are those of triangles, else of points."""
+        """Return whether the quantity has one value per triangle, rather than one per point."""
         return "triangle" in VARIABLES[self.variable].dims
 
     @property
@@ -221,7 +221,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` positions, evenly spread: the one nearest to the centre of each grid cell."""
+    """Return indices of about `most` evenly spread positions: in each grid cell the one nearest to the centre."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)

@@ -1,4 +1,4 @@
-"""Outlines of contact and stick region of one frame, in mm on the glass, and their places in a view."""
+"""Outlines of contact and stick region in one frame, in mm on the glass, and their conversion to pixels of a view."""
 
 import json
 import math
@@ -13,7 +13,7 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 
 def contact_outline(frame: xr.Dataset) -> Values | None:
-    """Return points (K, 2) on the ellipse of the gross contact, mm; None without contact."""
+    """Return points (K, 2) on the ellipse of the apparent contact, mm; None without contact."""
     known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
     if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None
@@ -24,7 +24,7 @@ def contact_outline(frame: xr.Dataset) -> Values | None:
 
 
 def stuck_outline(frame: xr.Dataset) -> Values | None:
-    """Return the longest outline (K, 2) of the cells of the stick region, through their centres; None without any."""
+    """Return the longest outline (K, 2) of the stick region, through cell centres; None without a stick region."""
     if "stuck_region" not in frame:
         return None
     region = frame["stuck_region"]
@@ -45,5 +45,5 @@ def matrix_of_view(result: xr.Dataset, view: str) -> Values:
 
 
 def in_pixels(millimetres: Values, matrix: Values) -> Values:
-    """Return places (N, 2) on the glass in px of a view."""
+    """Convert positions (N, 2) from mm on the glass to px of a view."""
     return np.asarray(millimetres @ matrix[:, :2].T + matrix[:, 2])

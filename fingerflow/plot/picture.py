@@ -26,14 +26,14 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views; of names for the same rectangle, only one."""
+    """Return the names of a scene's views, only one name for each rectangle of the frame."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
 
 
 def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
-    """Draw one view of a frame with real contact, ellipse of the gross contact, points and a scale bar.
+    """Draw one view of a frame with real contact, ellipse of the apparent contact, points and a scale bar.
 
     Args:
         result: returned by `fingerflow.process` for this scene.
@@ -89,7 +89,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def said(frame: xr.Dataset) -> str:
-    """Return a text with number, time and normal force of a frame."""
+    """Return a text for the reader with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")

@@ -64,8 +64,7 @@ class BesideChain:
 
 
 def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
-    """Simulate the skin chain under a trial's force at several frictions; tissue stiffness is fitted to the contact
-    area.
+    """Simulate the skin chain under a trial's force at several frictions, with tissue stiffness fitted to contact area.
 
     Raises:
         FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a

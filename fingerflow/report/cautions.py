@@ -13,7 +13,7 @@ _LARGE_SHARE = 0.02  # share of the triangles that may exceed it
 
 
 def cautions(result: xr.Dataset) -> list[str]:
-    """Return the warnings of the run and cautions from its results: omitted frames, lost points, implausible strain."""
+    """Return cautions on a result: warnings of the run, omitted frames, lost points, implausible strain."""
     warnings = json.loads(result.attrs.get("warnings", "[]"))
     return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
 

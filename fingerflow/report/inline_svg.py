@@ -56,7 +56,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
 
 
 def _smaller(found: re.Match[str]) -> str:
-    """Return a large opaque image as JPEG, a fifth of its size; other images are returned unchanged."""
+    """Return a large opaque image as JPEG, about a fifth of the original size, and any other image unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -66,7 +66,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return values of the named curves in axes for the page's cursor, and the position of the axes in the figure.
+    """Return the values of the named curves in axes, to read off with the cursor on the page, and the axes' position.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.

@@ -1,4 +1,4 @@
-"""Table of a trial's main quantities at its key frames, with their uncertainty."""
+"""Table of a trial's main quantities, with uncertainty, at the key frames of the trial."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _QUANTITIES = (
 
 @dataclass(frozen=True)
 class Line:
-    """Row of the table: quantity, unit, and value at each key frame as text, an en dash for NaN."""
+    """Row of the table of key numbers: quantity, unit, and value at each key frame as text, an en dash for NaN."""
 
     name: str
     unit: str
@@ -63,10 +63,9 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the scatter (F,) of a series: standard deviation from a parabola fitted to 11 frames around each; NaN if
-    any is unknown.
+    """Return the standard deviation (F,) of a series from a parabola fitted to the 11 frames around each frame.
 
-    It measures how well a frame repeats its neighbours, not an error that they have in common.
+    It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """
     found = np.full(len(values), np.nan)
     if len(values) < _WINDOW:

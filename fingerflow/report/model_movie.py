@@ -35,7 +35,7 @@ def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArra
 
 
 def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
-    """Yield RGB pictures (H, W, 3), one a time: skin coloured by displacement along the plate, above its loads."""
+    """Yield one RGB image (H, W, 3) for each time of simulated presses: skin coloured by displacement, and loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))

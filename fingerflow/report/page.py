@@ -1,4 +1,4 @@
-"""HTML report of a result: one page that contains its figures, numbers and settings."""
+"""HTML report of a result: one page that contains all figures, numbers and settings."""
 
 import base64
 import json
@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Group of figures that are shown together; `kind` is their layout, a class of page.css."""
+    """Group of figures that are shown together; `kind` names the layout, a class of page.css."""
 
     label: str
     figures: list[Drawn]
@@ -64,7 +64,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Figures of the page of a result."""
+    """Builder of the figures on the report page of a result."""
 
     result: xr.Dataset
 
@@ -79,7 +79,7 @@ class _Figures:
         return Drawn(name, inline_svg(figure, name, label))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of curves against the default abscissa; None if none of the variables is known.
+        """Return a section of the report with curves of given variables; None if none of these is known.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -97,7 +97,7 @@ class _Figures:
         return Section(title, panels, notes)
 
     def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw curves with the same settings, each named by its variable and its abscissa."""
+        """Draw one figure for each given variable, all with equal settings, named by variable and abscissa."""
         figures = []
         for draw_one, variable in given:
             on = draw_one(self.result, **settings)
@@ -276,7 +276,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map of a quantity has a value in any of these frames."""
+    """Return whether a map of a quantity has a value in any of the given frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -290,7 +290,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the overlay image that `fingerflow calibrate` wrote beside its file, in base64, or None."""
+    """Return the overlay image that `fingerflow calibrate` wrote beside the calibration file, in base64, or None."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

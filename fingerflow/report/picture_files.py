@@ -1,4 +1,4 @@
-"""Writing of figures as PNG files with a mark of fingerflow, so that a later run may replace only these."""
+"""Writing of figures as PNG files that carry a mark of fingerflow, so that later runs replace no other files."""
 
 from pathlib import Path
 

@@ -68,7 +68,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R), dimensionless, at R radii (T, K, R) in mm from middle to contact edge; NaN without contact."""
+    """Strains (T, K, R) in K presses at T times and R radii (mm) from middle to contact edge; NaN without contact."""
 
     radius: Values
     radial: Values  # du/dx
@@ -187,7 +187,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strains (2, H, W, 3) of the chains at low and high friction, turned about their axis.
+    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, by turning each chain about its axis.
 
     They are those at full load; NaN off contact.
     """

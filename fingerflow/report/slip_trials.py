@@ -44,7 +44,7 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return the verdicts by the change point, as printed and by the model, with their numbers, as one line."""
+    """Return as one line the verdicts on a trial by change point, published rule and model, with their numbers."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -58,7 +58,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return the number of trials of each verdict, by the change point and as printed, as one line."""
+    """Return as one line the number of trials of each verdict, by the change point and by the published rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -118,7 +118,7 @@ def trial_figure(trial: SlipTrial) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Parse a dataclass stored as JSON in an attribute of a result; null becomes NaN, lists become tuples."""
+    """Return numbers stored as JSON in an attribute of a result, as a dataclass; null becomes NaN, lists tuples."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

@@ -35,7 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under the presses' pressure and traction, and the viscoelastic strain that follows."""
+    """Compute half-space stress under simulated pressure and traction, and the resulting viscoelastic strain."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -153,7 +153,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return the ratios of values (K,) at the high friction to those at the low and at the least friction as text."""
+    """Return as text the ratios of values (K,) at the high friction to those at the low and at the least friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

@@ -15,20 +15,21 @@ _LOADED = 0.2  # share of the largest normal force above which a load ratio is u
 
 
 class Telling(NamedTuple):
-    """Key frame: its index in the result, and the reason for its selection."""
+    """Key frame of a trial: index in the result, and reason for the selection."""
 
     frame: int
     why: str
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Select at most five key frames of a result, in order of time; of more, those that come first in the lists below.
+    """Select at most five key frames of a result by normal force, load ratio, displacement or contact, in order of
+    time.
 
-    If the normal force varies: its largest value, then 3, 2 and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the
-    load ratio varies: its largest value, the last frame, half of the largest, and a frame while sliding. For a soft
-    sensor: the largest displacement, half of it, and the first gross slip. Otherwise, or if fewer than two are found:
-    the largest contact, the last frame in contact, and half of the largest. Frames without known fields (or contact)
-    are left out; the list is empty if all are.
+    Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
+    and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
+    half of the largest, and a frame while sliding. For a soft sensor: the largest displacement, half of it, and the
+    first gross slip. Otherwise, or if fewer than two are found: the largest contact, the last frame in contact, and
+    half of the largest. Frames without known fields (or contact) are left out; the list is empty if all are.
     """
     known = _known(result)
     if not known.any():
@@ -101,14 +102,14 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
-    """Return the frame of the largest value, and the first one with half of it."""
+    """Return two key frames: that of the largest value, and the first one with at least half of that value."""
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
     return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return up to five key frames in order of time, at least 2 % of the recording apart; earlier entries win."""
+    """Return up to five candidate key frames, in order of time and more than 2 % of the recording from each other."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -189,7 +189,7 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return median, share of answers, index of the condition and participant, of each participant in each condition.
+    """Return a dot per participant and condition: a metric's median, share of answers, condition index, participant.
 
     Pairs without a known value are left out.
     """
@@ -205,7 +205,7 @@ def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
-    """Return the names of the participants and the median of a metric of each, as it is shown; NaN where unknown."""
+    """Return the participants' names and medians of a metric, in the unit of its axis; NaN where unknown."""
     names = np.unique(trials.participant)
     values = _shown(trials, metric)
     own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
@@ -223,7 +223,7 @@ def finished_beside(axes: Axes, title: str) -> Axes:
 
 
 def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
-    """Draw a metric against another one, one colour a participant; return the values of both, as they are shown."""
+    """Draw a metric against another, one colour a participant; return the values of both in the units of the axes."""
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
@@ -274,7 +274,7 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
 
 
 def _of_anova(test: Anova) -> str:
-    """Return F with its degrees of freedom, p by participants, and the numbers of trials and participants."""
+    """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
     size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     if np.isnan(test.f):
         return f"no F, {size}"

@@ -33,7 +33,7 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in six equal bins over the range of amplitudes.
+        """Return friction coefficients of each rising half period, in six equal bins of vibration amplitude.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
@@ -127,6 +127,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit by the 0.99 quantile of values, so that few large ratios do not matter."""
+    """Return an upper axis limit from the 0.99 quantile of values, so that a few large values do not matter."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

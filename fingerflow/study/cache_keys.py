@@ -50,7 +50,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Keys:
-    """Cache keys of a trial: digests that its result and its row depend on, and its `inputs` by key of the scene."""
+    """Cache keys of a trial: digests on which result and table row depend, and `inputs` by key of the scene file."""
 
     result: str
     row: str
@@ -91,7 +91,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return the present state of an input file or folder; a digest is reused if size and time are unchanged."""
+    """Return size, time and digest of an input file or folder; a digest is reused if size and time are unchanged."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -113,7 +113,7 @@ def same_content(before: InputFile, now: InputFile) -> bool:
 
 
 def all_codes() -> dict[str, str]:
-    """Return the digests of the code behind a result and behind a row, by name."""
+    """Return the digests of the code that computes results and of the code that computes table rows, by name."""
     return {part: code_of(part) for part in _PARTS}
 
 

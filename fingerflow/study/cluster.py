@@ -231,7 +231,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
 
 
 def _load_once() -> None:
-    """Make workers fork from one process that has imported what they need: the imports in each would take seconds."""
+    """Make workers fork from one process with all modules imported, as imports in each worker would take seconds."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
@@ -252,7 +252,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 @contextmanager
 def _interrupt_once() -> Iterator[None]:
-    """Context in which SIGTERM ends a run as Ctrl-C does."""
+    """Context manager in which SIGTERM ends a run as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

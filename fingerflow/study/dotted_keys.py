@@ -1,11 +1,11 @@
-"""Tables of scene files as values by dotted keys, "tracking.points", and back."""
+"""Conversion between tables of scene files and flat values with dotted keys, such as `tracking.points`."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 
 def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield values with their dotted keys."""
+    """Yield the values of nested tables with dotted keys, such as `tracking.points`."""
     for name, value in tables.items():
         if isinstance(value, Mapping):
             yield from flattened(value, f"{place}{name}.")
@@ -14,7 +14,7 @@ def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str,
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables from values by dotted keys."""
+    """Return nested tables built from values with dotted keys."""
     tables: dict[str, Any] = {}
     for dotted, value in values.items():
         place = tables

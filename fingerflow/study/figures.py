@@ -1,4 +1,4 @@
-"""Figures of a study: those of the paper's supplement that its table of trials supports, and curves against force."""
+"""Figures of a study: those of the paper's supplement that the table of trials supports, and curves against force."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -102,6 +102,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if all panels that a sentence reports as missing are replaced by curves."""
+    """Return True if a sentence is about missing panels that have all been replaced by curves."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -162,7 +162,7 @@ def _guessed(place: Path) -> dict[str, str]:
 
 
 def _type_of(dotted: str) -> Any:
-    """Return the type of a key of the scene; None if there is none."""
+    """Return the type of a key of the scene; None if no such key exists."""
     found: SceneKey | SceneTable | None = SceneTable(SCENE)
     for part in dotted.split("."):
         found = found.keys.get(part) if isinstance(found, SceneTable) else None

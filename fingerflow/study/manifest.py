@@ -1,4 +1,4 @@
-"""Manifest of a study, `study.toml`: its recordings, their shared scene, and what is known about each trial."""
+"""Manifest of a study, `study.toml`: recordings, the scene that they share, and what is known about each trial."""
 
 import difflib
 import os
@@ -131,13 +131,12 @@ def load_manifest(path: str | Path) -> Manifest:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, which need not contain it, with slashes."""
+    """Return a path relative to a folder, with slashes, even if the path lies outside that folder."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return the answer of each trial, as a row of the file of answers for the same participant and trial; {} without
-    one.
+    """Return for each trial the row of its participant and trial number in a file of answers; {} without such a row.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -161,7 +160,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row of trials for each file name that matches a pattern with names in braces, sorted by file name."""
+    """Return a row of the table of trials for each file name that matches a pattern with names in braces, sorted."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()

@@ -73,7 +73,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial by their names in the table, and the moments at which the row states their values."""
+    """Time series of a trial by column name, and the moments at which the row of the trial states values."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -101,7 +101,7 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """Return the frame of the largest force during contact; without forces, of the largest apparent area."""
+        """Return the frame of the largest force during contact; without forces, of the largest apparent contact."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -156,7 +156,7 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the moment between onset and maximum at which the normal force first reaches `force`."""
+        """Return the moment between contact onset and largest force at which the normal force first reaches `force`."""
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -171,7 +171,7 @@ class _Trial:
 
     @cached_property
     def _grid(self) -> list[Moment | None]:
-        """Return the moments at which the normal force first reaches each force of `FORCE_GRID`."""
+        """Return the moments at which the normal force first reaches each of the forces in `FORCE_GRID`."""
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
@@ -180,7 +180,7 @@ class _Trial:
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """Return the largest value from onset to the last frame with contact."""
+        """Return the largest value of a series, from the onset of contact to the last frame with contact."""
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]

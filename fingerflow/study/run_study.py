@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a run: numbers of planned and skipped trials, their outcomes, and the reason for an interruption."""
+    """Outcome of a run: numbers of planned and skipped trials, outcome of each trial, reason for an interruption."""
 
     planned: int
     skipped: int
@@ -148,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the default size of trial groups, which is above 1 only with a GPU here and without a cluster."""
+    """Return the default number of trials per group, above 1 only on a GPU of this computer and without a cluster."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1

@@ -26,7 +26,7 @@ _FRAMES, _FRAME_SHAPE, _FINGER, _MM_PER_PX = 40, (300, 600), (6.0, 6.0), 0.04  #
 
 @dataclass(frozen=True)
 class Design:
-    """Design of a simulated study.
+    """Design of a simulated study: numbers of trials, vibration, friction, softness of skin, and observer.
 
     Attributes:
         participants: the second half of them has softer skin.
@@ -95,6 +95,6 @@ def write_recordings(folder: Path, design: Design) -> None:
 
 
 def answers_of(design: Design, divergence: Values, draw: np.random.Generator) -> NDArray[np.bool_]:
-    """Return True for trials (T,) that the observer feels as more slippery."""
+    """Return the answers (T,) of a simulated observer: True for the trials that are felt as more slippery."""
     felt = divergence + design.noise * draw.standard_normal(divergence.size)
     return np.asarray(felt > design.criterion)

@@ -116,7 +116,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 
 
 def holm(p: Mapping[str, float]) -> dict[str, float]:
-    """Return p-values corrected for their number: in rising order p_k becomes the largest (m + 1 - i) p_i of i <= k.
+    """Return p-values corrected by Holm's method: in rising order p_k becomes the largest (m + 1 - i) p_i of i <= k.
 
     The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays,
     and does not count.
@@ -128,7 +128,7 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
 
 
 def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the fields of the tests of a table, with `p_holm`."""
+    """Return the fields of several statistical tests, with Holm-corrected p-values `p_holm`."""
     corrected = holm({name: test.p for name, test in tests.items()})
     return {name: {**asdict(test), "p_holm": corrected[name]} for name, test in tests.items()}
 

@@ -106,7 +106,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return contact areas divided by the median of their participant, by column name; NaN if that is 0 or unknown."""
+    """Return contact areas divided by their participant's median, by column; NaN if that median is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")

@@ -34,7 +34,7 @@ _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarra
 
 @dataclass(frozen=True)
 class Job:
-    """A trial to run.
+    """Trial of a study that a worker has to run.
 
     Attributes:
         manifest: of this trial alone.
@@ -51,7 +51,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a job: its status and reason, and the processor seconds of its process over the trials of a batch."""
+    """Outcome of a trial's job: status, reason, and processor time (s) divided by the number of trials in the batch."""
 
     name: str
     status: str
@@ -69,7 +69,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial as a generator of steps, which run in turns with others of a batch of ``together`` trials."""
+    """Process one trial as a generator of steps that alternate with those of the other trials in a batch."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(

@@ -43,7 +43,7 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """Return the file name of a trial's result, made from its cache key, so that other settings write another file."""
+    """Return the file name of a trial's result, made from a cache key that differs between settings."""
     return f"result-{keys.result}.h5"
 
 

@@ -12,7 +12,8 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True)
 class Camera:
-    """A monochrome camera. All levels are stated for 8 bit and scale with the range of a deeper camera.
+    """Simulated monochrome camera with shot noise, read noise and defective pixels. All levels are stated for 8 bit and
+    scale with the range of a deeper camera.
 
     Args:
         bit_depth: 8 to 16; frames are uint8 for 8 bit and uint16 above.

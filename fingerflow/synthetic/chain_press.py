@@ -1,4 +1,4 @@
-"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of its skin depends on friction."""
+"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of the skin depends on friction."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,8 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """A press whose skin moves as a skin chain of revolution, under a force that rises as sin² and is then held.
+    """Synthetic press whose skin moves as a skin chain turned about its axis, under a force that rises and is then
+    held.
 
     Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
     persists. Settings that all scenes share are those of `SyntheticScene`.
@@ -59,7 +60,7 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """Return displacement and divergence of the chain since contact: ground truth without images and splines."""
+        """Return the chain's displacement and divergence since contact, simulated without images or splines."""
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:
@@ -150,7 +151,7 @@ class RadialMotion:
 
 
 def _evened(values: Array) -> Array:
-    """Smooth the chain's values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
+    """Smooth simulated values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
 
     The values at first contact are kept.
     """
@@ -166,7 +167,7 @@ def _coefficients(values: Array) -> Tensor:
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients and their weights, at a share of the grid's length."""
+    """Return the index of the first of four spline coefficients, and four weights, at a position (0 to 1) on a grid."""
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Comparison(NamedTuple):
-    """Comparison of one quantity: measured and true value in the last frame, and a text with its errors."""
+    """Comparison of one measured quantity with the truth: both values in the last frame, and a text with the errors."""
 
     quantity: str
     unit: str

@@ -21,7 +21,8 @@ _INVERTED = 1e-3  # px, last step of the fixed-point iteration; its error is no 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerGel:
-    """Lattice of dark discs on an elastic surface that an object deforms. Lengths in px of the frame, angles in rad.
+    """Synthetic gel: a lattice of dark discs on an elastic surface that an object deforms. Lengths in px of the frame,
+    angles in rad.
 
     Time course, in shares of the recording: at rest until 0.15. Until 0.3 the object presses, which spreads the gel by
     `dilation`. Until 0.6 it drags the gel by `shear`, while its rim slips from 0.45 on. At 0.7 it slips as a whole:
@@ -80,11 +81,11 @@ class MarkerGel:
         return result
 
     def pressed(self, frame: int) -> float:
-        """Return how far the object is pressed in, from 0 without contact to 1."""
+        """Return the indentation by the object in a frame, relative to the largest: 0 without contact, up to 1."""
         return float(np.interp(self._share(frame), (0.15, 0.3, 0.7, 0.85), (0, 1, 1, 0)))
 
     def sheared(self, frame: int) -> float:
-        """Return the current shear of the gel as a share of `shear`."""
+        """Return the shear of the gel in a frame, relative to the largest one, `shear`."""
         share = self._share(frame)
         if share >= 0.7:
             return float(np.interp(share, (0.7, 0.85), (self.kept, 0)))
@@ -96,11 +97,11 @@ class MarkerGel:
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:
-        """Return the extent of partial slip at the rim of the contact, from 0 to 1."""
+        """Return the extent of partial slip at the rim of the contact in a frame, from 0 to 1."""
         return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
 
     def displacement(self, places: Array, frame: int) -> Array:
-        """Return the displacement (..., 2) px of surface positions (..., 2) px at rest."""
+        """Return the displacement (..., 2) px, in a frame, of surface points with rest positions (..., 2) px."""
         off = places - np.asarray(self.contact)
         r = np.linalg.norm(off, axis=-1, keepdims=True)
         rim = np.clip((r - 0.4 * self.object_radius) / (0.6 * self.object_radius), 0, 1)
@@ -111,7 +112,7 @@ class MarkerGel:
         return result
 
     def positions(self, frame: int) -> Array:
-        """Return the current positions (N, 2) px of the markers."""
+        """Return the positions (N, 2) px of the markers in a frame."""
         return self.markers + self.displacement(self.markers, frame)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:

@@ -83,7 +83,7 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of a skin motion, by position (x, y) and progress, tensors that broadcast, float32 or float64."""
+    """Interface of a skin motion as a function of position (x, y) and progress, tensors that broadcast."""
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int
@@ -143,7 +143,7 @@ class PressMotion:
 
 @dataclass(frozen=True)
 class SlideMotion:
-    """Motion of a slide: skin peels off from the rim of a constant contact, then all slides along `direction`.
+    """Motion of a slide: skin slips from the rim of a constant contact inwards, then all skin slides along `direction`.
 
     Until `full_slip` (a progress) the stuck ellipse, `stuck_radius` times the contact, shrinks to nothing while the
     rim slips by up to `creep` mm. Then contact and skin travel `travel` mm together. With r the relative radius in the
@@ -162,7 +162,7 @@ class SlideMotion:
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Return the size of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
+        """Return the relative radius of the stuck ellipse, whose square is the stuck area share d²."""
         return 1 - self._peeling(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 @dataclass(frozen=True, kw_only=True)
 class Press(SyntheticScene):
-    """A press with a force that rises as sin² to its maximum and stays there.
+    """Synthetic press of a fingertip, with a force that rises as sin² to its maximum and stays there.
 
     Contact area grows with the square root of the force and skin displacement with the force itself, so
     late loading spreads skin that touches already. The default settings give a divergence of about 12 % at the

@@ -33,7 +33,7 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """Orientation field of a ridge pattern; `step` (rad/mm) is the unit of its wave numbers, 0 if any is allowed."""
+    """Orientation field of a ridge pattern; wave numbers are multiples of `step` (rad/mm), or arbitrary if it is 0."""
 
     levels: Levels
     step: float
@@ -76,9 +76,10 @@ def arch() -> Pattern:
 
 
 def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
-    """Return the orientation field of a loop with core at 0 and one delta (mm): Q = (z - delta) / z.
+    """Return the orientation field of a loop that has its core at the origin and one delta (mm).
 
-    With A² = z and B² = z - delta the integral from the core is A B - delta log((A + B) / (-delta)^(1/2)).
+    Q = (z - delta) / z. With A² = z and B² = z - delta the integral from the core is
+    A B - delta log((A + B) / (-delta)^(1/2)).
     """
 
     def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -92,13 +93,13 @@ def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
 
 
 def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
-    """Return the orientation field of a whorl, core at 0, deltas (+-across, down) mm: Q = (z - delta_1) (z - delta_2) /
-    z².
+    """Return the orientation field of a whorl that has its core at the origin and deltas at (+-across, down), mm.
 
-    With w = z - i down, R² = w² - across² and h² = across² + down² the integral from a delta has the imaginary part Im
-    R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) / (across z)|. Towards the core it grows as the
-    logarithm of the distance. Rings at equal distances are levels of the Gudermannian of v / h there. That is an odd
-    function of v with slope 1 at 0, where the levels through the deltas lie: the sign of v has no effect.
+    Q = (z - delta_1) (z - delta_2) / z². With w = z - i down, R² = w² - across² and h² = across² + down² the integral
+    from a delta has the imaginary part Im R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) /
+    (across z)|. Towards the core it grows as the logarithm of the distance. Rings at equal distances are levels of the
+    Gudermannian of v / h there. That is an odd function of v with slope 1 at 0, where the levels through the deltas
+    lie: the sign of v has no effect.
     """
     far = math.hypot(across, down)
 

@@ -115,12 +115,12 @@ class SyntheticScene:
         return self._picture(None, dtype)
 
     def empty(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return a noisy camera image (H, W) of the glass without a finger; each number `picture` has its own noise."""
+        """Return a noisy camera image (H, W) of the glass without a finger; the number `picture` selects the noise."""
         clean = torch.from_numpy(self.empty_clean())
         return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
 
     def dark(self, picture: int = 0) -> NDArray[np.integer]:
-        """Return a noisy camera image without light; each number `picture` has its own noise."""
+        """Return a noisy camera image without light; the number `picture` selects the noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
     def forces(self) -> SyntheticForces:
@@ -173,7 +173,7 @@ class SyntheticScene:
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
-        """Return a frame with both views, without noise; for progress None the glass without a finger."""
+        """Return a noise-free frame with both views at a progress of the movement; without a finger for None."""
         topography_planes, contact_planes = _fixed_planes(self, dtype)
         views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
         return self.camera.expose(torch.cat(views, dim=1)).numpy()
@@ -197,7 +197,7 @@ class SyntheticScene:
         return view
 
     def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
-        """Return the rows and columns of the contact view outside which nothing but glass is visible."""
+        """Return the rows and columns around a contact ellipse, outside which the contact view shows only glass."""
         ends = zip(ellipse.centre, ellipse.reach, strict=True)
         right, down = (
             slice(
@@ -216,8 +216,8 @@ class SyntheticScene:
 
 @lru_cache(maxsize=4)
 def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Return planes (H, W) common to all frames: x, y, grazing and stray light in the topography, x, y, light in the
-    contact view.
+    """Return image planes (H, W) common to all frames: coordinates and illumination of the topography and the contact
+    view.
 
     They are computed in float64 and rounded once.
     """

@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class Skin(Protocol):
-    """Interface of a skin texture, exact at every material position (mm, x right, y down): a dataclass with a `centre`.
+    """Interface of a skin texture with a `centre`, exact at every material position (mm, x right, y down).
 
     Tensors may have any shape, device and floating type.
     """

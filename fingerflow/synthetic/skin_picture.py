@@ -35,7 +35,7 @@ LEAST_SLOPE = 1.0
 
 
 class Levels(NamedTuple):
-    """Spline coefficients (rows, columns) of an image and its border, for contrast and contact, and the image's shape.
+    """Spline coefficients for contrast and contact in an image of a fingerprint, and the shape of the image.
 
     `contrast` is the skin's; `touching`, positive where the skin touches, is scaled so that ridge and glass differ by
     1.
@@ -94,21 +94,21 @@ class PictureTexture:
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the distance inside a touching ridge (see `Skin`) as the image shows it; ``share`` is ignored."""
+        """Return the signed distance, mm, positive inside a touching ridge of the image; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Convert material positions (mm) to column and row in the image with its border."""
+        """Convert material positions (mm) to column and row in the image, which includes an added border."""
         rows, columns = self._levels.shape
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a press or slide of the finger in an image, centred as near the print's centre as the contact allows.
+    """Return a synthetic press or slide of the finger in an image, the contact as near the print's centre as possible.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
@@ -178,13 +178,13 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _fading(count: int, period: float) -> Plane:
-    """Return a window over a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
+    """Return weights for a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return at each pixel the brightest level within a ridge distance, that of glass or of a valley."""
+    """Return at each pixel the brightest grey level within one ridge distance, which is that of glass or a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 

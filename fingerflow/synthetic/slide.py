@@ -13,7 +13,7 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 @dataclass(frozen=True, kw_only=True)
 class Slide(SyntheticScene):
-    """A slide: the stick region shrinks from the rim to nothing, then skin and contact travel together.
+    """Synthetic slide: the stick region shrinks from the rim to nothing, then skin and contact travel together.
 
     The contact exists from the first frame; the pull begins at the trigger. The tangential force is that of
     Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the current relative stuck area d².

@@ -123,7 +123,7 @@ class Truth:
         return 0.0 if ellipse is None else ellipse.area
 
     def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
-        """Return the real contact area (mm²), by quadrature with samples_per_px² partly filled cells per pixel."""
+        """Return the real contact area (mm²) in a frame, by quadrature with samples_per_px² cells per pixel."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return 0.0
@@ -144,7 +144,8 @@ class Truth:
         return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement (..., 2) in mm of material points since their onset, or since frame `reference`.
+        """Return the displacement (..., 2) in mm of material points since their contact onset, or since frame
+        `reference`.
 
         It is NaN before the onset and for points without one.
         """
@@ -152,7 +153,8 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement gradient (..., 2, 2) since the onset, with respect to the onset position.
+        """Return the displacement gradient (..., 2, 2) since the onset of contact, with respect to positions at that
+        onset.
 
         With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
         F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
@@ -164,7 +166,8 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient (..., 2, 2) from each point's onset on, of all skin around the point.
+        """Return the displacement gradient (..., 2, 2) since each point's onset of contact, of all skin around the
+        point.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -235,7 +238,7 @@ class Truth:
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
-        """Return the displacement gradient F(frame) begun^-1 - I; ``begun`` is F of the reference. NaN before onset."""
+        """Return the displacement gradient since a state of deformation gradient ``begun``; NaN before onset."""
         gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
@@ -263,7 +266,7 @@ class Truth:
         return slope, rate
 
     def _forward(self, material: Tensor, progress: Tensor, start: Tensor) -> Tensor:
-        """Return positions (..., 2) of material points at progress (...), by Newton's method; NaN for NaN progress."""
+        """Return positions (..., 2) on the glass of material points at progress (...), by Newton's method."""
         positions = start
         for _ in range(30):
             reached = torch.stack(self.motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)

@@ -22,7 +22,7 @@ def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
 
 
 def add_waves(plane: Tensor, waves: Waves, amplitude: float, x: Tensor, y: Tensor) -> Tensor:
-    """Return `plane` plus the sum of all waves at positions (x, y), mm, each with the given `amplitude`."""
+    """Return an image `plane` plus plane waves of equal `amplitude`, evaluated at positions (x, y) in mm."""
     for wave_x, wave_y, offset in waves:
         plane = plane.add(torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset)), alpha=amplitude)
     return plane

@@ -138,7 +138,7 @@ def _scene_file(scene: SyntheticScene) -> str:
 
 
 def _region(scene: SyntheticScene) -> View | None:
-    """Return the rectangle of the topography view that contains the skin which will touch, as a stream needs it."""
+    """Return the rectangle of the topography view that holds, in frame 0, all skin that later touches."""
     truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:

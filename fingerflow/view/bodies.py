@@ -1,4 +1,4 @@
-"""Bodies of the page's requests: their fields and types."""
+"""Fields and types of the JSON bodies of requests from the page."""
 
 import json
 from typing import Annotated, Any
@@ -11,19 +11,19 @@ Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class Body(BaseModel):
-    """Body of a request that has no fields of its own."""
+    """Body of a request without any fields; base class of all other bodies."""
 
     model_config = ConfigDict(strict=True)
 
 
 class EditBody(Body):
-    """Keys to set, with their values."""
+    """Body of an edit request: keys to set, with their values."""
 
     set: list[tuple[str, Any]]
 
 
 class CalibrateBody(Body):
-    """Pictures to calibrate from."""
+    """Body of a calibration request: image files to calibrate from, and the radius of the ring's hole."""
 
     ring: str | None = None
     target: str | None = None
@@ -32,33 +32,33 @@ class CalibrateBody(Body):
 
 
 class WriteBody(Body):
-    """Where to write the scene."""
+    """Body of a write request: where to write the scene file, and whether to replace an existing one."""
 
     to: str | None = None
     replace: bool = False
 
 
 class ProcessBody(Body):
-    """Whether to compute all variables."""
+    """Body of a processing request: whether to compute all variables."""
 
     all: bool = False
 
 
 class EndBody(Body):
-    """Which run to end."""
+    """Body of a request to end a run, `process` or `report`."""
 
     of: str
 
 
 class HistoryBody(Body):
-    """Points whose history is shown."""
+    """Body of a history request: variable and points whose time series are shown."""
 
     key: str
     points: list[Number]
 
 
 class TableBody(Body):
-    """What a table is of."""
+    """Body of a table request: the frame, or the time series and points, that the CSV table contains."""
 
     of: str
     frame: Number = 0
@@ -68,7 +68,7 @@ class TableBody(Body):
 
 
 def body_of(sent: bytes, kind: type[Body]) -> dict[str, Any]:
-    """Return the fields of a body; raise FingerflowError, naming the field, for what is no JSON or of another type."""
+    """Return the fields of a request body; raise FingerflowError if it is no JSON or a field has the wrong type."""
     try:
         content = kind.model_validate_json(sent).model_dump()
     except ValidationError as error:

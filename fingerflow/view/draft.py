@@ -1,4 +1,4 @@
-"""Draft of a scene file that the page edits: its values, its problems, and writing it to disk."""
+"""Draft of a scene file that the page edits: values, problems, and writing to disk."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error: a file would be replaced whose content this page has neither read nor written."""
+    """Error that asks for leave to replace a file whose content this page has neither read nor written."""
 
 
 class Draft:
@@ -75,7 +75,7 @@ class Draft:
         return dict(self._document.unwrap())
 
     def table(self, name: str) -> dict[str, Any]:
-        """Return the values of a table; none if it is missing, or is no table, which `problems` reports."""
+        """Return the values of a table of the draft; empty if the table is missing or invalid, see `problems`."""
         found = self.values().get(name)
         return found if isinstance(found, dict) else {}
 
@@ -128,7 +128,7 @@ class Draft:
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Set the kind of the scene; views that do not fit the kind are replaced by its default views.
+        """Set the kind of the scene; views that do not fit the kind are replaced by default views of that kind.
 
         Raises:
             FingerflowError: unknown kind.
@@ -145,7 +145,7 @@ class Draft:
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Check the draft as `process` would, then write the scene file and return its path.
+        """Check the draft as `process` would, then write it as the scene file and return the path of that file.
 
         Raises:
             NeedsLeaveError: a file exists with other content than was read, and `replace` is false.
@@ -188,7 +188,7 @@ def _is_needed(table: str) -> bool:
 
 
 def _free(path: Path) -> Path:
-    """Return a path that no file has: the given one, or the same with a number."""
+    """Return a path at which no file exists: the given path, or that path with a number after the stem."""
     found, number = path, 2
     while found.exists():
         found, number = path.with_stem(f"{path.stem}-{number}"), number + 1

@@ -1,4 +1,4 @@
-"""Access control of the server: only its own page, on this computer and opened with the token, is answered."""
+"""Access control of the server: only requests with the token, from the server's page on this computer, pass."""
 
 import hmac
 import secrets

@@ -1,4 +1,4 @@
-"""Frames of a recording as 8-bit grey images for display, all with the same contrast."""
+"""Frames of a recording as 8-bit grey images for display, all with one contrast."""
 
 from typing import Any
 

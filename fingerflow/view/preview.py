@@ -1,4 +1,4 @@
-"""Preview of what `process` will compute, for one frame: the same stages, run for that frame only."""
+"""Preview of what `process` will compute for one frame, by stages of `process` that run for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -83,11 +83,11 @@ class Previewer:
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings of opening the files and of the stages so far."""
+        """Return the warnings of opening the input files, of the force stage and of the contact stage."""
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Return the forces at the selected frames, by the names of the results."""
+        """Return the forces at the selected frames, by the names of the result's variables."""
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,

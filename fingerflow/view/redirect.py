@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 
 def redirect(address: str) -> str:
-    """Return an HTML page that leads to an address; without an icon of its own a browser would ask for one."""
+    """Return an HTML page that redirects to an address, with an empty icon so that the browser requests none."""
     leads = f'<meta http-equiv="refresh" content="0;url={html.escape(address)}">'
     return f'<!doctype html>{leads}<link rel="icon" href="data:,"><title>fingerflow</title>'
 

@@ -167,7 +167,7 @@ class Results:
         return _csv(columns)
 
     def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """List all variables with these dimensions for the page, one entry for each component."""
+        """List all variables with the given dimensions for the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
@@ -182,7 +182,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 without any."""
+        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 if unknown."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")

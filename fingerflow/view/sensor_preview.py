@@ -67,7 +67,7 @@ class SensorPreviewer(Previewer):
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
-        """Return a contact stage for these frames only, with their markers detected and matched."""
+        """Return a contact stage for given frames only, with the markers in these frames detected and matched."""
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
         trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})

@@ -48,7 +48,7 @@ class Session:
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Open in advance what the page requests first; errors are reported only when the page requests it."""
+        """Load the draft and the result in advance of the page's first requests; errors are ignored until then."""
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -56,7 +56,7 @@ class Session:
             self.setup()
 
     def ready(self) -> Facts:
-        """Import the modules for previews, which the first image does not need."""
+        """Import the modules for previews in advance of the first preview."""
         import fingerflow.view.preview  # noqa: F401
 
         return {"ready": True}
@@ -74,7 +74,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """Return the draft for the page: its values, its problems, and facts about its recording."""
+        """Return the draft for the page: values and problems of the draft, and facts about the recording."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -105,7 +105,7 @@ class Session:
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return the image of a frame (index in the file), packed, with the predicted contact if the scene is valid."""
+        """Return the image of a frame (index in the file) as packed bytes, for a valid scene with predicted contact."""
         with self._lock:
             pictures = self._pictures_of_draft()
             if not 0 <= frame < len(pictures.recording):
@@ -124,7 +124,7 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """Return the points that `process` would seed, packed."""
+        """Return the points that `process` would seed, as packed bytes."""
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -132,7 +132,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return the draft's forces at the times of the frames, its calibration and warnings, packed."""
+        """Return the draft's forces at the times of the frames, image calibration and warnings, as packed bytes."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -269,7 +269,7 @@ class Session:
     # Looking at results.
 
     def result(self) -> Facts:
-        """Return facts about the result, the views of its scene, and its recording."""
+        """Return facts about the result, about the scene's views and about the recording."""
         with self._lock:
             result = self._opened_result()
             facts = result.facts()
@@ -285,7 +285,7 @@ class Session:
             return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
-        """Return a frame of the result (index from 0), packed, with its image if the recording can be read."""
+        """Return a frame of the result (index from 0) as packed bytes, with an image if the recording can be read."""
         with self._lock:
             result = self._opened_result()
             numbers, arrays = result.frame(frame, shown)
@@ -308,12 +308,12 @@ class Session:
             return {"key": key, "range": self._opened_result().range_of(key)}
 
     def triangles(self) -> bytes:
-        """Return the corners of the result's triangles, packed."""
+        """Return the corners of the result's triangles as packed bytes."""
         with self._lock:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series of the result for several keys, packed."""
+        """Return time series of the result for several keys, as packed bytes."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
@@ -446,7 +446,7 @@ def _same_frames(result: Path, scene: Scene) -> bool:
 
 
 def _value_of(value: Any) -> Any:
-    """Return a value of the page; TOML text is parsed, and kept as text if it is invalid."""
+    """Return a value sent by the page; TOML text is parsed, and kept as text if it is invalid."""
     if not isinstance(value, dict) or "toml" not in value:
         return value
     try:

@@ -1,4 +1,4 @@
-"""Analysis of variance of a metric over groups of trials: with participants as a random effect, and as published."""
+"""Analysis of variance of a metric over groups of trials, with or without participants as a random effect."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Anova:
-    """F with its degrees of freedom, p, and eta^2, the share of the variance between groups; `trials` per group.
+    """Result of an analysis of variance: F, degrees of freedom, p, eta^2 (share of variance between groups), trials per
+    group.
 
     `participants` is 0 where trials count as independent. `epsilon` scales both degrees of freedom for p.
     """

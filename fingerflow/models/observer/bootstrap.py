@@ -30,7 +30,7 @@ FEWEST_CLUSTERS = 3
 
 @dataclass(frozen=True)
 class Samples:
-    """Resampling units of the bootstrap: each trial belongs to a participant (shared by samples), or is its own."""
+    """Resampling unit of each trial in a bootstrap: the participant of the trial, or else the trial by itself."""
 
     units: tuple[NDArray[np.intp], ...]
     participants: int  # 0 where each trial is its own unit
@@ -43,7 +43,8 @@ class Samples:
 def samples_of(
     kinds: Sequence[ArrayLike], participants: Sequence[ArrayLike] | None
 ) -> tuple[list[Values], Samples, int]:
-    """Remove NaN trials from samples; return the samples, the resampling unit of each trial, and the number removed.
+    """Remove NaN trials from samples of a metric; return the samples, each trial's resampling unit, and the number
+    removed.
 
     Raises:
         ValueError: infinite values, or participants whose shapes do not match the values.
@@ -69,7 +70,8 @@ def samples_of(
 def bca_interval(
     statistic: Statistic, samples: Samples, level: float, resamples: int, seed: int
 ) -> tuple[Interval, str]:
-    """Compute the BCa interval of a statistic, and a reason if there is none or if resamples were dropped.
+    """Compute the BCa bootstrap interval of a statistic, and a text that explains a missing interval or dropped
+    resamples.
 
     Efron's BCa takes quantiles of the bootstrap, shifted by its bias and by the acceleration from a jackknife over the
     same units. It is too narrow for few units; its normal quantiles are therefore replaced by those of Student's t
@@ -130,7 +132,7 @@ def _resampled(samples: Samples, resamples: int, draw: np.random.Generator) -> I
 
 
 def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
-    """Return how often each of n units is drawn in a bootstrap sample of n draws, as (rows, n) for several samples."""
+    """Return how often each of n units is drawn in each of several bootstrap samples of n draws, (rows, n)."""
     flat = draw.integers(0, units, (rows, units)) + units * np.arange(rows)[:, None]
     return np.bincount(flat.ravel(), minlength=rows * units).reshape(rows, units).astype(np.float64)
 

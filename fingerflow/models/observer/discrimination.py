@@ -166,7 +166,7 @@ def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return the quantile of R resamples (R,) that hold each value `weights` times; NumPy's linear one for 1."""
+    """Return a quantile of each of R bootstrap resamples (R,); `weights` say how often a resample holds each value."""
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

@@ -1,4 +1,4 @@
-"""Value of a statistic with its interval, and the settings that reproduce it."""
+"""Estimate of a statistic: value, confidence interval, and the bootstrap settings that reproduce it."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated statistic with its interval, as the functions of this package return it.
+    """Estimated statistic with confidence interval, bootstrap settings, and numbers of trials and participants.
 
     Attributes:
         value: NaN where it cannot be computed.

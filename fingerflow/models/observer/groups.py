@@ -16,7 +16,8 @@ _STREAM = 0x6A0  # added to the seed: data simulated with the same seed must not
 
 @dataclass(frozen=True)
 class Groups:
-    """Result of `participant_groups`: fit of two groups with its test; NaN where a number cannot be computed.
+    """Two groups of participants as fitted by `participant_groups`, with a test against one group; NaN if not
+    computable.
 
     Attributes:
         groups: 2 where the bootstrap test is significant at 5 %, else 1; 0 where it cannot be determined.
@@ -106,8 +107,8 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
 
 def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values]:
-    """Fit two Gaussians to R samples of P values: share of the higher group, both means, deviation, likelihood ratio,
-    (R,).
+    """Fit a mixture of two Gaussians to R samples of P values; return upper share, means, deviation, likelihood ratio,
+    (R,) each.
 
     Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """

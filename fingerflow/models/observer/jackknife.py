@@ -1,4 +1,4 @@
-"""Student's interval and p of an estimate, from its jackknife over participants."""
+"""Confidence interval and p-value of an estimate by Student's t, from the jackknife over participants."""
 
 import math
 
@@ -11,7 +11,7 @@ from fingerflow.models.observer.estimate import UNKNOWN, Interval
 
 
 def jackknifed(estimate: float, without: ArrayLike, level: float) -> tuple[Interval, float, str]:
-    """Return interval, two-sided p against 0, and the reason where there are none.
+    """Return the jackknife interval of an estimate and its two-sided p against 0, or the reason why both are missing.
 
     With e_p the estimate without participant p, s^2 = (P - 1) / P sum_p (e_p - mean)^2, and the estimate over s has
     Student's t distribution with P - 1 degrees of freedom.

@@ -12,7 +12,8 @@ from fingerflow.models.observer.jackknife import jackknifed
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Change of the probability of the answer per unit of the metric, `effect`, with interval and two-sided p.
+    """Result of `mixed_model`: change `effect` of the answer's probability per unit of the metric, interval, two-sided
+    p.
 
     `trials` of `participants` were used; `missing` have no metric, or are alone in their participant and condition.
     """
@@ -30,8 +31,9 @@ class MixedModel:
 def mixed_model(
     metric: ArrayLike, answer: ArrayLike, condition: ArrayLike, participants: ArrayLike, level: float = 0.95
 ) -> MixedModel:
-    """Fit answer = a_pc + (b + v_p) metric + error, as for the force rate in Willemet et al. 2021, figure S5 I.
+    """Fit a linear mixed model of answers over a metric, with an intercept for each participant and condition.
 
+    The model is answer = a_pc + (b + v_p) metric + error, as for the force rate in Willemet et al. 2021, figure S5 I.
     a_pc is an intercept of participant p in condition c, so neither fast participants who answer well nor amplitudes
     that are answered well count as an effect of the rate. v_p, of mean 0, is how participant p differs from the effect
     b. With x and y the metric and the answer less their means in each participant and condition,

@@ -15,7 +15,7 @@ _AT_ONCE = 4_000_000  # labels in memory
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """Result of `permutation_test`: two-sided `p` of `auc`; `trials` correct and incorrect, `missing` with NaN."""
+    """Result of `permutation_test`: area under the ROC `auc`, two-sided `p`, numbers of trials used and missing."""
 
     p: float
     auc: float

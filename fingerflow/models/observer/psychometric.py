@@ -75,7 +75,7 @@ def fit_psychometric(
     level: float = 0.95,
     participants: ArrayLike | None = None,
 ) -> PsychometricFit:
-    """Fit P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers.
+    """Fit a curve P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers at stimuli x.
 
     Counts follow a beta-binomial distribution: blocks of trials at one stimulus differ by more than chance, because
     attention varies. The fit maximises the posterior, with weak priors on lapse and guess and the overdispersion
@@ -172,7 +172,7 @@ class _Posterior:
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
     def _over_spreads(self, values: Values) -> Values:
-        """Return the log likelihood of the answers at each value of the overdispersion grid."""
+        """Return the log likelihood of the answers at each overdispersion of the grid `_SPREADS`."""
         expected = self._expected(values)
         # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
         total = 1 / _SPREADS[:, None] - 1
@@ -207,13 +207,13 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Return the threshold of a part of the blocks, in the units of the data, searched from given parameters."""
+        """Return the threshold fitted to some blocks of answers, in data units, by a search from given parameters."""
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]
 
     def rises(self, values: Values) -> bool:
-        """Return True if the curve changes by more than 0.01 over the range of the stimuli, up or down."""
+        """Return True if the curve rises or falls by more than 0.01 over the range of the stimuli."""
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((np.array([self.x.min(), self.x.max()]) - threshold) * slope + _core(self.share, guess, lapse))
         return bool(abs((1 - guess - lapse) * np.diff(core)[0]) > 0.01)
@@ -242,7 +242,7 @@ class _Posterior:
         return at
 
     def _minimised(self, start: Values, fixed: int) -> Values:
-        """Return the parameters that maximise the posterior near a start, with the first ``fixed`` ones unchanged."""
+        """Return parameters that minimise the negative log posterior near a start; the first ``fixed`` are constant."""
         limits = (_FURTHEST, _STEEPEST, *[_LOGIT] * (start.size - 2))
 
         def rest(values: Values) -> float:
@@ -258,7 +258,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return the threshold on one side of the best where the profile crosses ``allowed``; infinite past `_FURTHEST`."""
+    """Return the threshold at which the profile on one side of the best threshold reaches ``allowed``, or infinity."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

@@ -1,4 +1,4 @@
-"""Linear and rank correlation of columns of a table, with participants as units where they are given."""
+"""Linear and rank correlation of two metrics of trials, with intervals by participant if participants are given."""
 
 import math
 from collections.abc import Callable
@@ -35,7 +35,7 @@ class Correlation:
 def pearson(
     first: ArrayLike, second: ArrayLike, *, participants: ArrayLike | None = None, level: float = 0.95
 ) -> Correlation:
-    """Compute the linear correlation of pairs, with interval and p by Fisher's transformation z = atanh(r).
+    """Compute the linear correlation of pairs of values, with interval and p by Fisher's transformation z = atanh(r).
 
     Pairs of one participant are seldom independent. With participants, interval and p are those of Student's t on z, by
     the jackknife over participants.
@@ -58,7 +58,7 @@ def pearson(
 def spearman(
     first: ArrayLike, second: ArrayLike, *, participants: ArrayLike | None = None, level: float = 0.95
 ) -> Correlation:
-    """Compute the rank correlation of pairs, ties at mean ranks.
+    """Compute Spearman's rank correlation of pairs of values; tied values get their mean rank.
 
     For independent pairs the interval is Fisher's, with the variance of ranks (1 + r^2 / 2) / (n - 3) (Bonett & Wright
     2000). Otherwise as `pearson`.
@@ -101,7 +101,7 @@ def _correlation(
 
 
 def _of_the_rest(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
-    """Return z of the chosen pairs; NaN where there is none."""
+    """Return Fisher's z of the correlation without the pairs of one participant; NaN if it is undefined."""
     if rest.sum() < 2 or min(np.ptp(x[rest]), np.ptp(y[rest])) == 0:
         return math.nan
     return _fisher(float(kind(x[rest], y[rest]).statistic))

@@ -12,7 +12,7 @@ from fingerflow.models.observer.trials_table import Trials
 
 
 class ObserverSettings(TypedDict):
-    """Settings of an interval: its level, the number of resamples and their seed."""
+    """Settings of bootstrap intervals: confidence level, number of resamples and random seed."""
 
     level: float
     resamples: int
@@ -21,7 +21,7 @@ class ObserverSettings(TypedDict):
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """Observer statistics of one metric: estimates with intervals by participant, and `printed`, as in the paper."""
+    """Ideal-observer statistics of one metric, with intervals by participant, and as published (`printed`)."""
 
     d_prime: Estimate
     auc: Estimate

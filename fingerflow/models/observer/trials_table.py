@@ -32,7 +32,7 @@ class Trials:
     rule: str = ""
 
     def split(self, metric: str) -> tuple[Values, Values]:
-        """Return a metric in correct and in incorrect trials, with NaN; raise FingerflowError if it is unknown."""
+        """Return a metric's values, with NaN, in correct and in incorrect trials; raise FingerflowError if unknown."""
         if metric not in self.metrics:
             raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(self.metrics)}")
         return self.metrics[metric][self.answer], self.metrics[metric][~self.answer]

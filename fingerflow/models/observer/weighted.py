@@ -9,7 +9,7 @@ Values = NDArray[np.float64]
 
 
 def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
-    """Return a function from weights (R, n_1), (R, n_2) to areas under the ROC (R,); NaN if a class has no trial."""
+    """Return a function that computes areas under the ROC (R,) from weights (R, n_1), (R, n_2) of two classes."""
     values = np.concatenate([correct, incorrect])
     order = np.argsort(values, kind="stable")
     starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)

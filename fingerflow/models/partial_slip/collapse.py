@@ -1,4 +1,4 @@
-"""Collapse of a stuck area at constant load: where d^2 no longer follows T/N, without a friction law."""
+"""Collapse of a stuck area at constant load, found without a friction law: the time when d^2 stops following T/N."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _DURATION_STD = 0.01  # s
 
 @dataclass(frozen=True)
 class Collapse:
-    """Result of `fit_collapse`.
+    """Collapse of the stuck area at constant load, as fitted by `fit_collapse`.
 
     Attributes:
         area: d^2 at which the collapse begins; `area_std`, its standard deviation.
@@ -47,7 +47,7 @@ class Collapse:
 
 
 def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collapse | None:
-    """Fit a change point to d^2: before it d^2 follows the load down to c, after it d^2 falls to 0 at constant load.
+    """Fit a change point to the stuck area share d^2: before it d^2 follows the load, after it d^2 falls to 0.
 
     With H the largest T/N so far, t_c the change point and D the duration of the collapse,
 
@@ -132,12 +132,12 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
 
 def _shape(relative: Values) -> Values:
-    """Return f (G, E, F) at relative loads (G, 1, F), for each of E bends."""
+    """Return the shape (G, E, F) of d^2 before a collapse, at relative loads (G, 1, F), for E bends of the curve."""
     return np.asarray(np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS))
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:
-    """Fit `values` (F,) by two functions with coefficients of 0 or more; return the first and residuals (G, E, F)."""
+    """Fit `values` (F,) by two functions with non-negative coefficients; return the first and residuals (G, E, F)."""
     aa, ab, bb = (first**2).sum(-1), (first * second).sum(-1), (second**2).sum(-1)
     av, bv = first @ values, second @ values
     determinant = aa * bb - ab**2

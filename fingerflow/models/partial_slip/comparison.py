@@ -16,7 +16,7 @@ _CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
 
 @dataclass(frozen=True)
 class CurveScore:
-    """Score of one model curve in the comparison of all curves.
+    """Score of one model curve of partial slip in `compare_curves`.
 
     Attributes:
         coefficients: of friction, by name.

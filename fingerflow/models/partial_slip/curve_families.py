@@ -1,4 +1,5 @@
-"""Load ratio T/N as a function of the stuck area share d^2, linear in the friction coefficients: the fitted form.
+"""Model curves of partial slip: load ratio T/N as a function of the stuck area share d^2, linear in friction
+coefficients.
 
 d^2(T/N) has an infinite slope where the area vanishes. Its inverse is smooth and single-valued: a sum of known
 functions of d^2 weighted by the friction coefficients.
@@ -16,7 +17,7 @@ Functions = Callable[[Values], Values]
 
 @dataclass(frozen=True)
 class CurveFamily:
-    """Model curve T/N of d^2 (F,) as a sum over P friction coefficients: terms (F, P), first and second derivatives."""
+    """Model curve of T/N over d^2 (F,): one term for each of P friction coefficients, and two derivatives."""
 
     name: str
     coefficients: tuple[str, ...]

@@ -69,7 +69,8 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the stuck area share d^2 at which the rest slips at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
+    """Return the stuck area share at which the remaining stick region slips at once: d^2 = (mu_s - mu_k) / (2 mu_s -
+    mu_k).
 
     Such a minimal area needs mu_s > mu_k; the paper's section 1 and equation 5 agree, but its abstract has the
     inequality reversed. It is 0 for mu_s = mu_k, and NaN for mu_s < mu_k, where none exists.
@@ -96,7 +97,7 @@ def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
-    """Return mu_k / mu_s = (1 - 2 d^2) / (1 - d^2) from the stuck area share d^2 at which the rest slips at once.
+    """Return mu_k / mu_s from the stuck area share d^2 at which the remaining stick region slips at once.
 
     It solves d^2 = (mu_s - mu_k) / (2 mu_s - mu_k). The paper prints (1 - d^2) / (2 - d^2), which is no solution: it
     gives mu_k = mu_s / 2 where the area fades to nothing, although the two are equal there.

@@ -22,7 +22,7 @@ _WIDEST = 1.0  # widest informative interval of mu_k / mu_s
 
 @dataclass(frozen=True)
 class FrictionFit:
-    """Result of `fit_friction`; what the data do not determine is NaN, and `reason` says why.
+    """Friction coefficients with intervals, fitted by `fit_friction`; NaN where the data determine none, see `reason`.
 
     Attributes:
         mu_s, mu_k: coefficients of static and kinetic friction; mu_k is not below 0.
@@ -208,7 +208,7 @@ def frame_noise(values: Values) -> float:
 
 
 def _shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return a mask of frames whose stuck area share is clearly below 1; closer to 1 the noise is one-sided.
+    """Return a mask of the frames in which the stick region shrinks: the stuck area share is clearly below 1.
 
     The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.
     """
@@ -230,7 +230,7 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 
 def _derived(coefficients: Values) -> Values:
-    """Return mu_s, mu_k, their ratio and the critical area for R sets of coefficients, as (R, 4)."""
+    """Return mu_s, mu_k, their ratio and the critical stuck area for R sets of coefficients, as (R, 4)."""
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
     # Resamples without a critical area count as 0: NaN would drop them from its interval.

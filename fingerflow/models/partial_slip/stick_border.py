@@ -35,7 +35,7 @@ _FEWEST = 8  # distances with a displacement
 
 
 class BorderFit(NamedTuple):
-    """Result of `fit_border`: position of the border, and growth of the displacement beyond it.
+    """Border of a stick region, fitted by `fit_border`: position, and growth of the displacement beyond that border.
 
     Attributes:
         growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
@@ -51,7 +51,8 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Return offsets (K,) mm along a border's normal of the pixels in a square window, pooled over border directions.
+    """Return offsets (K,) mm of a square window's pixels along the normal of a border, pooled over directions of the
+    border.
 
     The positions are sorted.
     """
@@ -61,7 +62,7 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return means over windows at distances (K,) mm from a border of a displacement x^p beyond it; negative inside."""
+    """Return window means of a displacement x^p beyond a border, at distances (K,) mm from it (negative inside)."""
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 

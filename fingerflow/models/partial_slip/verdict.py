@@ -35,7 +35,7 @@ _LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fadi
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Classification of a trial by `judge_trial`, with the numbers behind it; NaN or -1 if not computable.
+    """Verdict on a trial by `judge_trial`, with all numbers that led to it; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
@@ -93,7 +93,7 @@ class TrialVerdict:
 
 
 def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -> TrialVerdict:
-    """Decide whether a trial has a minimal adhesion area, by three rules.
+    """Decide by three rules whether the stuck area of a trial vanishes abruptly, from a minimal adhesion area.
 
     `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
     collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse
@@ -233,7 +233,7 @@ def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
 
 
 def _smoothed(values: Values, width: int) -> Values:
-    """Return the running median of a series over its finite values; other values stay NaN."""
+    """Return the running median of a series over its finite values; non-finite values become NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = median_filter(values[finite], size=width, mode="nearest")
@@ -241,14 +241,14 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
-    """Return the standard deviation of the smoothed d^2, from the frames that stick in part; 0 if there are too few."""
+    """Return the noise (standard deviation) of the smoothed d^2, from frames of partial slip; 0 if too few."""
     noise = frame_noise(raw[(smoothed > 0.05) & (smoothed < 0.95)])
     # Of a median of independent values.
     return math.sqrt(math.pi / 2 / width) * noise if math.isfinite(noise) else 0.0
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
-    """Return the frame from which on d^2 is 0, that with the fewest exceptions before and after; None without one."""
+    """Return the frame from which on d^2 is 0, with the fewest exceptions before and after; None if d^2 never is."""
     known = np.flatnonzero(np.isfinite(area))
     above = area[known] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)
@@ -257,7 +257,7 @@ def _complete_loss(area: Values, zero: float) -> int | None:
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
-    """Return the frames just before the loss of adhesion in which T/N stays inside the corridor around `reference`."""
+    """Return the frames just before the loss of adhesion in which T/N stays within 5 % of `reference`."""
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known

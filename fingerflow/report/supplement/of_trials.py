@@ -116,7 +116,7 @@ def strain_energy(sources: Sources) -> Sheet:
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Return panels whose metrics the table has, and of the others the letter and what they need.
+    """Return the panels whose metrics a table of trials contains, and letter and missing input of all others.
 
     Args:
         sources: hold the table.

@@ -24,7 +24,7 @@ class SheetPanel:
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
-        """Return a panel of one axes, into which ``draw(axes, *values)`` draws."""
+        """Return a panel with a single axes, into which ``draw(axes, *values)`` draws."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
 
@@ -38,7 +38,7 @@ class Sheet:
 
     @staticmethod
     def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return one sentence for each missing input, from pairs of a panel's letter and what the panel needs."""
+        """Return a sentence for each missing input on the panels that need it, from pairs of panel letter and input."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)

@@ -19,7 +19,7 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the figures: a tribometer trace and a table of trials with its design; the others are simulated."""
+    """Inputs of the supplement's figures: a tribometer trace, a table of trials with its design, and simulations."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -37,7 +37,7 @@ class Sources:
 
     @cached_property
     def depth(self) -> Depth:
-        """Compute stress and strain at depth under these presses."""
+        """Compute stress and strain below the skin surface in the simulated presses."""
         return look_under(self.presses)
 
     @cached_property
@@ -46,12 +46,12 @@ class Sources:
         return press_field(Press())
 
     def difference(self, metric: str) -> str:
-        """Return the column of a metric's difference (comparison less reference), or the metric's own without one."""
+        """Return the name of the column with a metric's difference (comparison less reference), else the metric's."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """Return which input a panel of these metrics lacks; "" if the table of trials has all."""
+        """Return the missing input of a panel that shows these metrics, as text; empty if nothing is missing."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics
