@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class Parts(NamedTuple):
-    """Helmholtz-Hodge parts of a vector field, (B, 2, H, W) each; their sum is the field; NaN outside the mask.
+    """The three Helmholtz-Hodge parts (B, 2, H, W) of a vector field, whose sum is the field; NaN outside the mask.
 
     Attributes:
         irrotational: without curl: the flow due to the divergence inside the mask.
@@ -97,7 +97,8 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the integrals of both components of grad G over a pixel, for each distance between pixels.
+    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over a pixel at each
+    offset.
 
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.

@@ -22,7 +22,7 @@ _SETTLED = 1e-3  # largest change of a message at convergence
 
 
 class Ties(NamedTuple):
-    """Ties (edges) between neighbouring markers, each in both directions.
+    """Edges (ties) of the graph of neighbouring markers, each stored in both directions.
 
     Attributes:
         first, second: (T,) int64, indices of the tied markers.
@@ -39,9 +39,9 @@ class Ties(NamedTuple):
 
 
 def tie_neighbours(reference: Tensor) -> Ties:
-    """Return the ties between neighbouring markers, from their positions (N, 2) at rest, N at least 2, all finite.
+    """Return the edges between neighbouring markers, given the positions (N, 2) of the markers at rest.
 
-    The spacing is the median distance to the nearest neighbour.
+    N is at least 2, and all positions are finite. The spacing is the median distance to the nearest neighbour.
     """
     distance = torch.cdist(reference, reference)
     distance.fill_diagonal_(torch.inf)
