@@ -44,7 +44,7 @@ class EngineSettings:
 
 
 class GlassLight(NamedTuple):
-    """Light of the empty glass and black level per pixel, in the engine's own representation.
+    """Light of the empty glass and black level per pixel, in the internal format of an engine.
 
     `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
     """
@@ -75,7 +75,7 @@ class FrameContact(NamedTuple):
 
 
 class KeyFrame(NamedTuple):
-    """Key frame in the engine's own representation, and the standard deviation of its white noise in grey levels."""
+    """Key frame in the internal format of an engine, and the standard deviation of the frame's noise in grey levels."""
 
     image: Images
     noise: float
@@ -109,11 +109,11 @@ class FoundPoints(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Return the variance (K, N) px^2 of a position component, the mean of x and y."""
+        """Return the position variance (K, N), px^2: the mean of the variances in x and y."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Select some frames, and all points or some; return the results for them."""
+        """Return the tracking results of some frames, and of all points or some."""
         return FoundPoints(*(one[frames][:, points] for one in self))
 
 
@@ -153,7 +153,7 @@ class FrameEllipse(NamedTuple):
 
 
 class EnteredPoints(NamedTuple):
-    """Points that were advected into the contact (`tracker.entry`), with displacement gradients since entry.
+    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
 
     Attributes:
         among: (K, N) bool, True for the points that were advected.
@@ -177,7 +177,7 @@ class Fit(NamedTuple):
 
 
 class FrameFields(NamedTuple):
-    """Fields at N points of K frames, and their medians over the apparent contact, as in `graphs.fields_graph`."""
+    """Divergence, curl, strain and shear at N points in K frames, and medians over the apparent contact."""
 
     divergence: Array
     curl: Array
@@ -192,7 +192,7 @@ class FrameFields(NamedTuple):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Interface of an engine: stateless computations on frames.
+    """Interface that every engine implements: stateless computations on frames.
 
     The engine creates and reads templates and key frames; the caller keeps them. All methods but `update` may be called
     from several threads at once. Positions are (x, y) px, float32; pixel centres lie at integers.
@@ -210,7 +210,7 @@ class Engine(Protocol):
     cell_px: int
 
     def images(self, frames: Array) -> Images:
-        """Convert frames (K, H, W) of a view, 8 to 16 bit or floating point, to the engine's own representation.
+        """Convert frames (K, H, W) of 8 to 16 bit or floating point to the internal format of the engine.
 
         They are not copied where this can be avoided, and never written to.
         """
@@ -225,7 +225,7 @@ class Engine(Protocol):
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Compute the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none for NaN."""
+        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); no pixels for NaN."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
@@ -247,7 +247,7 @@ class Engine(Protocol):
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of its noise."""
+        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of the frame's noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
@@ -283,14 +283,15 @@ class Engine(Protocol):
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """Return two masks (K, N): points that deviate from their neighbours, and points far more uncertain than these.
+        """Return two masks (K, N): points that deviate from their neighbours, and points far less certain than their
+        neighbours.
 
         The test is that of `ops.tracking.outliers`.
         """
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search for key-frame points around guesses (n, 2) px; return the positions (n, 2) px found.
+        """Search a frame for key-frame points around guessed positions (n, 2) px; return the positions (n, 2) px found.
 
         Also return whether (n,) the search backward returns to the start.
         """
@@ -308,9 +309,9 @@ class Engine(Protocol):
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """Fit gradients at queries (Q, 2) to values (K, N, C) at points (N, 2) in float64, as `ops.local_gradients`.
+        """Fit gradients at query positions to values known at points, in float64, as `ops.local_gradients` does.
 
-        `variance` (K, N) is that of a component of a value.
+        Queries are (Q, 2), values (K, N, C), points (N, 2). `variance` (K, N) is that of a component of a value.
         """
         ...
 
@@ -322,12 +323,12 @@ class Engine(Protocol):
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        """Compute the fields of displacements (K, N, 2) mm at reference positions (N, 2) mm, over the gauge length."""
+        """Compute divergence, curl and strain, and medians, from displacements (K, N, 2) mm at points (N, 2) mm."""
         ...
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return the tracking result of a number of frames without points."""
+    """Return an empty tracking result: that of a number of frames without points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

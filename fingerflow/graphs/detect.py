@@ -1,4 +1,4 @@
-"""Detection of points to track, with a fixed number of tensor operations."""
+"""Detection of corners to track, with a fixed number of tensor operations."""
 
 import math
 

@@ -47,7 +47,7 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 
 def taps(shift: Tensor) -> Tensor:
-    """Return the five cubic B-spline weights b3(shift - k), k = -2 .. 2, (..., 5), for shifts (...) in (-1, 1)."""
+    """Return the five cubic B-spline weights (..., 5) at a distance of `shift` (...) from the coefficients -2 to 2."""
     return _values(*_distances(_from_places(shift)))
 
 
