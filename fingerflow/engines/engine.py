@@ -18,7 +18,7 @@ Images = Any  # frames (K, 1, H, W) in the engine's own representation: they hav
 
 @dataclass(frozen=True)
 class EngineSettings:
-    """Settings of an engine, taken from a scene or a recipe.
+    """Settings of an engine, read from a scene file of a recording or a recipe of a bundle.
 
     Attributes:
         median_px, gross_radius_px, cell_px, stride_px: sizes for the contact (`graphs.ContactGraph`).
@@ -86,7 +86,7 @@ class TemplateBuffers(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """Return the template statistics (N, 32), in the order of `kernels.tracking_limits.Number`."""
+        """Return the numbers (N, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
@@ -118,7 +118,7 @@ class FoundPoints(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """Points tracked through K frames, and their positions and speeds after the last frame.
+    """Points tracked through K frames, and the positions and speeds of the points after the last frame.
 
     Positions are (N, 2) px, speeds (N, 2) px a frame.
     """
@@ -167,7 +167,7 @@ class EnteredPoints(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) fitted at query points, and their covariance (K, Q, C, 2, C, 2).
+    """Gradients (K, Q, C, 2) fitted at Q query points, and the covariance (K, Q, C, 2, C, 2) of the gradients.
 
     The covariance is None where no variances were given.
     """
@@ -177,7 +177,7 @@ class Fit(NamedTuple):
 
 
 class FrameFields(NamedTuple):
-    """Divergence, curl, strain and shear at N points in K frames, and medians over the apparent contact."""
+    """Divergence, curl, strain and shear at N points in K frames, and medians over the contact, as `graphs.Fields`."""
 
     divergence: Array
     curl: Array
@@ -236,7 +236,7 @@ class Engine(Protocol):
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) of the points (K, N, 2) px of the topography view under the apparent contact.
+        """Return a mask (K, N) that is True for points (K, N, 2) px of the topography view under the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """
@@ -271,7 +271,7 @@ class Engine(Protocol):
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Correct tracked points for the skin's deformation since their templates were prepared.
+        """Correct tracked points for the deformation of the skin since the preparation of the templates.
 
         The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
         (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
@@ -279,7 +279,7 @@ class Engine(Protocol):
         ...
 
     def neighbours(self, start: Array) -> Any:
-        """Return the neighbour lists of points (N, 2) px in a key frame, an input of `outliers`."""
+        """Return the lists of neighbours of points (N, 2) px in a key frame, as needed by `outliers`."""
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:

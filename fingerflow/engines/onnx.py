@@ -59,11 +59,11 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the template statistics (n, 32), in the order of `kernels.tracking_limits.Number`."""
+        """Return the numbers (n, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
-        """Return the templates as inputs of the graph `track`, padded to `points`, in the provider's memory."""
+        """Return the templates, padded to `points`, as graph inputs kept in the memory of the execution provider."""
         with self._lock:
             if not self._values:
                 self.arrays = {name: filled(array, points, axis=1) for name, array in self.arrays.items()}

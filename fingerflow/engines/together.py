@@ -1,4 +1,4 @@
-"""Batching of engine calls of several recordings.
+"""Batching of the engine calls of several recordings that are computed together.
 
 Each recording is a generator. It computes as if it were alone: where it needs an engine call that others may share, it
 yields a `Call` and continues with the result. When all recordings wait for a call, calls of the same kind are joined to

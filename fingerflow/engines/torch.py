@@ -44,7 +44,7 @@ _Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
 
 @dataclass
 class _TorchTemplates:
-    """Templates of N points, stored as `ops.Templates` (1, N, ...)."""
+    """Templates of N points, stored as tensors (1, N, ...) in an `ops.Templates`."""
 
     templates: Templates
 
@@ -354,7 +354,7 @@ class TorchEngine:
 
 
 def images_on(device: torch.device, frames: Array) -> Tensor:
-    """Convert frames (K, H, W) to a tensor (K, 1, H, W) on a device.
+    """Convert the images (K, H, W) of K frames to a tensor (K, 1, H, W) on a device.
 
     It must not be written to: on the CPU it shares memory with the frames unless these are converted. uint16 becomes
     int32, with which torch can compute, and float64 becomes float32.

@@ -57,7 +57,7 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return, for each block of a frame, the sum of its pixels and the sum of their squares, (B, 2, N).
+    """Return the sums (B, 2, N) of the pixels and of the squared pixels over each block of a frame.
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """

@@ -248,7 +248,7 @@ class _OfNearest(NamedTuple):
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Return, for each position whose nearest point belongs to `Apart`, the fields of that point.
+    """Return the fields of the nearest point, for each position whose nearest point belongs to `Apart`.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.

@@ -41,7 +41,7 @@ def triangle_strain(
     young_modulus_mpa: float = 1.0,
     poisson_ratio: float = 0.4,
 ) -> TriangleStrain:
-    """Compute the strain of triangles, and its energy density integrated over the triangles in contact.
+    """Compute the strain of triangles, and the strain energy density integrated over the triangles in contact.
 
     The gradients are those of `triangle_gradients`. Frames share triangles and slopes. In the portable form they are
     the last axis and each quantity of a point or triangle is a row, so that a corner is fetched for all frames at once.
@@ -144,7 +144,7 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
 
 
 def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Return the area (B, M) with which each triangle counts in an integral over the triangles in contact.
+    """Return the area (B, M) that each triangle contributes to an integral over the triangles in contact.
 
     Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
     half of the area, or where no triangle is in contact.

@@ -22,7 +22,7 @@ class Parts(NamedTuple):
 
 
 def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
-    """Compute the natural Helmholtz-Hodge decomposition of vector fields.
+    """Compute the natural Helmholtz-Hodge decomposition (without boundary conditions) of vector fields.
 
     Source: Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014. No boundary condition is imposed: with the Green function
     of the whole plane, G = log|x| / 2 pi,
@@ -88,7 +88,7 @@ def _has_neighbour(inside: Tensor, dim: int) -> Tensor:
 
 
 def _moved(values: Tensor, dim: int, step: int) -> Tensor:
-    """Shift values so that a pixel holds its neighbour `step` pixels further along a dimension; 0 beyond the frame."""
+    """Shift values so that each pixel holds the value `step` pixels further along a dimension; 0 beyond the frame."""
     size = values.shape[dim]
     edge = torch.zeros_like(values.narrow(dim, 0, 1))
     if step > 0:

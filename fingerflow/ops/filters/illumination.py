@@ -16,7 +16,7 @@ LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
 
 class NormalizedFrames(NamedTuple):
-    """Frames divided by the light of the empty glass, and a mask of the pixels for which this quotient is known.
+    """Frames divided by the light of the empty glass, and a mask of the pixels where the quotient is known.
 
     `frames` (B, 1, H, W) is the light relative to that of the empty glass; `valid` (B, 1, H, W) bool is True where this
     quotient is known.
@@ -126,7 +126,7 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
 
 
 def quantize(signal: Tensor) -> Tensor:
-    """Quantise the contact signal to one byte: level = round(204 (signal + 0.25)), saturating.
+    """Quantise the contact signal to one byte: level = round(204 (signal + 0.25)), clipped to 0 to 255.
 
     One level is 0.0049, below the noise of one 8-bit camera pixel. The median and Otsu's threshold are computed from
     levels.

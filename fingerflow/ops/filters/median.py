@@ -76,7 +76,7 @@ def _planned(size: int) -> Any:
 
 
 def plain(program: Any) -> Any:
-    """Convert a median program to plain tuples, the only form that the torch compiler accepts as a constant.
+    """Convert a median program to plain tuples, which the torch compiler accepts as a constant.
 
     The compiler must not trace the making of a program.
     """
@@ -156,7 +156,7 @@ def run_network(
     *,
     views: bool = True,
 ) -> list[Tensor]:
-    """Execute a program of minima and maxima (`MedianProgram` or `join_program`) and return its output planes.
+    """Execute a program of minima and maxima on flat planes, and return the output planes.
 
     Args:
         steps, outputs: of the program.

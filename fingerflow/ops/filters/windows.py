@@ -79,7 +79,7 @@ def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
 def _sample_warped(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate the spline and its gradient on warped windows, with separate spline weights for every sample.
+    """Evaluate a spline and the spline's gradient on warped windows, with separate spline weights for every sample.
 
     The positions of the samples of a warped window have no common fraction.
     """

@@ -232,7 +232,7 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the minimum (B, ...) over the `count` channels that are stacked in the batch axis (C B, ...)."""
+    """Return the minimum (B, ...) over `count` channels, which are stacked in the batch axis (C B, ...)."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -298,7 +298,7 @@ def find_flow(
 
 
 def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covariance: Tensor) -> Flow:
-    """Interpolate flow, covariance and residual from cells to pixels.
+    """Interpolate the flow, the covariance and the residual from cells to the pixels of the first image.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
@@ -377,7 +377,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """Compute the residual of a flow for each channel separately.
+    """Compute the residual of a flow, what is left of the image difference, for each channel separately.
 
     As for `_left`, but the products with the slopes are not divided by the gain.
     """
@@ -423,7 +423,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of a mask whose displaced position lies at least `margin` px inside the frame, else 0."""
+    """Return 1 for pixels of a mask that the flow moves to at least `margin` px inside the frame, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]

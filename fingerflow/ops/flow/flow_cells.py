@@ -1,4 +1,4 @@
-"""Cells of dense flow, 2 x 2 px each, and conversions of fields between pixels and cells.
+"""Conversion of dense-flow fields between pixels and cells of 2 x 2 px, and computations on cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
@@ -49,10 +49,10 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate known cells bilinearly to cells of half the size: (B, C, h, w) to (B, C, height, width).
+    """Spread values from cells to cells of half the size (or pixels), by bilinear interpolation of known cells.
 
-    `known` is 1 or 0. The four nearest have the weights 9/16, 3/16, 3/16 and 1/16. The result is 0 where none of them
-    is known.
+    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest have the weights 9/16, 3/16,
+    3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -79,7 +79,7 @@ def _sums(fields: Tensor) -> Tensor:
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate a flow from cells (B, 2, h, w) to pixels (B, 2, height, width).
+    """Interpolate a flow (B, 2, h, w) from cells to pixels: return (B, 2, height, width).
 
     `known` (B, 1, h, w) is 1 for known cells, else 0.
     """

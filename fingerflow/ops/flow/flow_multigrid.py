@@ -34,7 +34,7 @@ SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
 
 
 class Level(NamedTuple):
-    """Operator J + alpha L of one multigrid level, on cells (B, ., h, w)."""
+    """One level of the multigrid: the operator J + alpha L on cells (B, ., h, w)."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
     right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
@@ -162,6 +162,6 @@ def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) ->
 
 
 def times(tensor: Tensor, field: Tensor) -> Tensor:
-    """Return products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w), xx, xy, yy, with vectors (B, 2, h, w)."""
+    """Multiply symmetric 2 x 2 matrices (B, 3, h, w), given as xx, xy, yy, by vectors (B, 2, h, w)."""
     u, v = field[:, :1], field[:, 1:]
     return torch.cat((tensor[:, :1] * u + tensor[:, 1:2] * v, tensor[:, 1:2] * u + tensor[:, 2:] * v), dim=1)

@@ -1,4 +1,4 @@
-"""Matching of detected markers to those at rest, on the assumption that the gel moves continuously."""
+"""Matching of detected markers to the markers at rest, on the assumption that the gel moves continuously."""
 
 from typing import NamedTuple
 
@@ -56,7 +56,7 @@ def tie_neighbours(reference: Tensor) -> Ties:
 
 
 def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor) -> Tensor:
-    """Return, for each marker at rest, the index (N,) of its detection in a frame; -1 if it is not detected.
+    """Match markers: return, for each marker at rest, the index (N,) of the detection in a frame; -1 if undetected.
 
     No detection is assigned twice. The assignment minimises the cost of a Markov random field by min-sum belief
     propagation (Felzenszwalb & Huttenlocher 2006). A tie costs the squared difference of the neighbours' displacements

@@ -202,7 +202,7 @@ def _noise_deviation(frame: Tensor) -> Tensor:
 
 
 def _inside(frame: Tensor, border: int) -> Tensor:
-    """Return a mask (1, 1, H, W) bool of the pixels at least `border` away from the edge of the frame."""
+    """Return a mask (1, 1, H, W) bool of the pixels that lie at least `border` px inside the frame."""
     height, width = frame.shape[-2:]
     y, x = torch.arange(height, device=frame.device), torch.arange(width, device=frame.device)
     rows, columns = (y >= border) & (y < height - border), (x >= border) & (x < width - border)

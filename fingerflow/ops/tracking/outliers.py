@@ -125,7 +125,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
 
 
 def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-    """Gather point values (B, 1, N) at the k neighbours of each point, (B, k, N) each.
+    """Gather the values (B, k, N) of the k neighbours of each point, given point values (B, 1, N).
 
     The indices are (1 or B, k, N).
     """

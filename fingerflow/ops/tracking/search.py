@@ -23,9 +23,10 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """Return the position of highest normalised cross-correlation (ZNCC) within `radius` px of `guess` in x and y.
+    """Search for windows: return the position of highest normalised cross-correlation within `radius` px of `guess`.
 
-    Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess` is returned.
+    The radius holds in x and in y. Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess`
+    is returned.
 
     The search runs through the Fourier transform on images of half resolution and is accurate to about a pixel. Its
     result is a starting position for :func:`~fingerflow.ops.tracking.track_points.track_points`, not a replacement.

@@ -100,7 +100,7 @@ def prepare_templates(
     gain_offset: bool = True,
     noise: Tensor | None = None,
 ) -> Templates:
-    """Compute the templates of points in a key frame.
+    """Prepare the templates of points in a key frame, for registration in later frames.
 
     Args:
         image: (B, 1, H, W), 8 to 16 bit or floating.
@@ -200,7 +200,7 @@ def find_templates(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Found:
-    """Register templates in a frame, each near its predicted position.
+    """Register templates in a frame, each near the predicted position of a point.
 
     The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2). H = sum g g', w are the weights of the pixels
     in sum g S, and a is the gain. The noise of both images is estimated together from the residual; for equal
@@ -327,7 +327,7 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Remove from slopes (P, 2, samples) the changes that gain and offset of the illumination would cause.
+    """Remove from slopes (P, 2, samples) the components that a change of gain and offset of the light would cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """
@@ -500,7 +500,7 @@ def _times(samples: Tensor, windows: Tensor) -> Tensor:
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
-    """Return products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
+    """Multiply symmetric matrices (B, 3, N), given as xx, xy, yy, by vectors (B, 2, N)."""
     return matrix[:, ::2] * vectors + matrix[:, 1:2] * vectors.flip(1)
 
 

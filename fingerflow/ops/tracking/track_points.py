@@ -65,7 +65,7 @@ def track_points(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Tracks:
-    """Track points from `previous` to `current`, with a forward-backward check.
+    """Track points from the image `previous` to the image `current`, with a forward-backward check.
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
@@ -160,7 +160,7 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> Passed:
-    """Track points in one or two passes, without derivatives; arguments as for `track_points`.
+    """Track points in one or two passes, without derivatives; the arguments are those of `track_points`.
 
     One operator for the compiler, since the number of passes and searches depends on data.
     """
@@ -209,7 +209,7 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """Register points (B, N, 2) of `previous` in `current`, near positions `near`; also return template statistics."""
+    """Find points (B, N, 2) of `previous` in `current` near positions `near`; also return the template statistics."""
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
