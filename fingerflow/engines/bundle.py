@@ -69,7 +69,7 @@ class Bundle:
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Load the deployment bundle of a folder and check every graph file against its hash.
+    """Load the deployment bundle of a folder and check the hash of every graph file.
 
     Raise PlayerError for a missing, damaged or foreign file.
     """

@@ -1,4 +1,4 @@
-"""Check of an engine: compare its results for a built-in frame with those stored in the deployment bundle.
+"""Check of an engine, by comparison of results for a built-in frame with the results stored in the bundle.
 
 An engine with other results computes wrongly on this computer.
 """

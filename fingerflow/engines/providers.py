@@ -35,7 +35,7 @@ def installed_providers() -> dict[str, str]:
 
 
 def provider_named(name: str) -> str:
-    """Return the full name of an installed execution provider from its short name.
+    """Return the full name of an installed execution provider, given the short name.
 
     Raises:
         FingerflowError: it is not installed.

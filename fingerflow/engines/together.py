@@ -48,7 +48,7 @@ class Joining(Protocol):
 
 
 def run_alone(steps: Steps[T]) -> T:
-    """Run one recording without batching its engine calls, and return the result of the recording."""
+    """Run one recording without batching of engine calls, and return the result of the recording."""
     try:
         call = next(steps)
         while True:

@@ -104,8 +104,8 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
     """Return the two cells whose centres enclose each pixel of a line, as indices, and the weight of the second cell.
 
-    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`. Results are
-    (pixels,).
+    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`.
+    Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

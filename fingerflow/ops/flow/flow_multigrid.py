@@ -93,7 +93,7 @@ def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def degrees(right: Tensor, down: Tensor) -> Tensor:
-    """Return the degree (B, 1, h, w) of each cell: the sum of the weights of its edges."""
+    """Return the degree (B, 1, h, w) of each cell: the sum of the weights of the edges at the cell."""
     pad = functional.pad
     return pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
 

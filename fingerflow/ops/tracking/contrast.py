@@ -34,7 +34,7 @@ def subtract_background(frames: Tensor, background: Tensor) -> Tensor:
 
 
 def stretch_contrast(frames: Tensor) -> Tensor:
-    """Stretch each frame linearly so that its 0.01 quantile becomes 0 and its 0.99 quantile 1; clip beyond.
+    """Stretch each frame linearly to 0 at the 0.01 quantile and 1 at the 0.99 quantile, and clip values beyond.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 32 bit or floating. Only finite pixels count (`frame_quantile`).

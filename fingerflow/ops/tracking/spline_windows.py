@@ -47,12 +47,12 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 
 def taps(shift: Tensor) -> Tensor:
-    """Return the five cubic B-spline weights (..., 5) at a distance of `shift` (...) from the coefficients -2 to 2."""
+    """Return the five cubic B-spline weights (..., 5) of the coefficients at -2 to 2, for a position `shift` (...)."""
     return _values(*_distances(_from_places(shift)))
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the five cubic B-spline weights (`taps`) and the derivatives of these weights, (..., 5) each."""
+    """Return the five cubic B-spline weights (`taps`) and the derivatives of the weights, (..., 5) each."""
     beside = _from_places(shift)
     u, v = _distances(beside)
     return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()

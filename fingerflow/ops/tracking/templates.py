@@ -313,7 +313,7 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """Sample the spline and its slopes on straight (undeformed) windows around points (B, N, 2) px."""
+    """Sample the spline and the spline's slopes on straight (undeformed) windows around points (B, N, 2) px."""
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)
