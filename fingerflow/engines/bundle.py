@@ -1,4 +1,4 @@
-"""Deployment bundle: the folder that `fingerflow export` writes."""
+"""Reading of a deployment bundle: the folder of ONNX graphs and settings that `fingerflow export` writes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 
 @dataclasses.dataclass(frozen=True)
 class Bundle:
-    """Content of a deployment bundle whose graph files match their hashes.
+    """Content of a deployment bundle, whose graph files have been checked against their hashes.
 
     Attributes:
         height, width, bit_depth: of a view: px, px, and bits of a pixel, 8 to 16.
@@ -69,7 +69,7 @@ class Bundle:
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Load the deployment bundle of a folder and check every graph file against its hash.
+    """Load the deployment bundle of a folder and check the hash of every graph file.
 
     Raise PlayerError for a missing, damaged or foreign file.
     """
@@ -120,7 +120,7 @@ def load_bundle(folder: Path) -> Bundle:
 
 
 def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
-    """Return the engine settings of a bundle from its recipe, all keys as in bundle.json.
+    """Return the engine settings of a deployment bundle, given the recipe in bundle.json.
 
     The strain measure is the default.
     """

@@ -40,7 +40,7 @@ def covered(density_margin: Array, points: Array, topography_to_contact: Array, 
 
 
 def _at_places(cells: Array, x: Array, y: Array) -> Array:
-    """Interpolate cells (K, 1, h, w) bilinearly at positions (K, N), in units of cells.
+    """Interpolate values on cells (K, 1, h, w) bilinearly at positions x and y (K, N), in units of cells.
 
     Positions beyond the middle of the outermost cells are clamped to it.
     """

@@ -1,4 +1,4 @@
-"""Check of an engine: compare its results for a built-in frame with those stored in the deployment bundle.
+"""Check of an engine, by comparison of results for a built-in frame with the results stored in the bundle.
 
 An engine with other results computes wrongly on this computer.
 """
@@ -27,7 +27,7 @@ _FLIPS = 0.01  # share of the values that may be finite in only one of both resu
 
 
 class Tolerance(NamedTuple):
-    """Largest difference between two results that rounding explains, and its unit.
+    """Tolerance of the check: the largest difference between two results that rounding explains, with a unit.
 
     If `relative`, it is a share of the value.
     """
@@ -51,7 +51,7 @@ TOLERANCES = {
 
 
 class BuiltIn(NamedTuple):
-    """Views (H, W) of the built-in test frame, and N points in them.
+    """Built-in test frame: synthetic images (H, W) of both views, and N points to track.
 
     Attributes:
         empty, contact: contact view without and with contact.
@@ -110,7 +110,7 @@ def _sentence(engine: Engine, found: str) -> str:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute an engine's results for the built-in frame: contact and tracked points, by the keys of `TOLERANCES`."""
+    """Compute the results of an engine for the built-in frame, as numbers by the keys of `TOLERANCES`."""
     light = engine.light(frame.empty.astype(np.float32), None)
     contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
     templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
@@ -153,7 +153,7 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
 
 
 def _texture(x: Array, y: Array) -> Array:
-    """Return a texture in grey levels: a sum of waves 7 to 20 px long in all directions, nowhere alike."""
+    """Return a texture in grey levels that repeats nowhere: a sum of waves 7 to 20 px long in all directions."""
     total = np.zeros_like(x)
     for wave in range(_WAVES):
         turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and ratio: nothing repeats
@@ -163,7 +163,7 @@ def _texture(x: Array, y: Array) -> Array:
 
 
 def spread(height: int, width: int, count: int, margin: int = 0) -> Array:
-    """Return points (count, 2) px spread evenly over a view, except its margin."""
+    """Return points (count, 2) px spread evenly over a view, except for a margin at the border."""
     columns = math.ceil(math.sqrt(count * width / height))
     number, rows = np.arange(count), -(-count // columns)
     places = []

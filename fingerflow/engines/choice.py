@@ -22,7 +22,7 @@ log = logging.getLogger("fingerflow.player")
 
 
 def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Engine:
-    """Create the engine of a recording.
+    """Create the engine that computes a recording, by the name of the engine or by automatic choice.
 
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
@@ -49,7 +49,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
-    """Create the engine of a stream, and log which one it is and why.
+    """Create the engine that computes a stream of frames, and log the choice with the reason.
 
     Native is tried first: it is taken if the library loads and reproduces the expected results of the bundle for the
     built-in frame. Otherwise ONNX Runtime computes the graphs of the bundle, with the first execution provider that

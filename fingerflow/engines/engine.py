@@ -18,7 +18,7 @@ Images = Any  # frames (K, 1, H, W) in the engine's own representation: they hav
 
 @dataclass(frozen=True)
 class EngineSettings:
-    """Settings of an engine, taken from a scene or a recipe.
+    """Settings of an engine, read from a scene file of a recording or a recipe of a bundle.
 
     Attributes:
         median_px, gross_radius_px, cell_px, stride_px: sizes for the contact (`graphs.ContactGraph`).
@@ -44,7 +44,7 @@ class EngineSettings:
 
 
 class GlassLight(NamedTuple):
-    """Light of the empty glass and black level per pixel, in the engine's own representation.
+    """Light of the empty glass and black level per pixel, in the internal format of an engine.
 
     `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
     """
@@ -75,7 +75,7 @@ class FrameContact(NamedTuple):
 
 
 class KeyFrame(NamedTuple):
-    """Key frame in the engine's own representation, and the standard deviation of its white noise in grey levels."""
+    """Key frame in the internal format of an engine, and the standard deviation of the frame's noise in grey levels."""
 
     image: Images
     noise: float
@@ -86,7 +86,7 @@ class TemplateBuffers(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """Return the template statistics (N, 32), in the order of `kernels.tracking_limits.Number`."""
+        """Return the numbers (N, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
@@ -109,16 +109,16 @@ class FoundPoints(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Return the variance (K, N) px^2 of a position component, the mean of x and y."""
+        """Return the position variance (K, N), px^2: the mean of the variances in x and y."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Select some frames, and all points or some; return the results for them."""
+        """Return the tracking results of some frames, and of all points or some."""
         return FoundPoints(*(one[frames][:, points] for one in self))
 
 
 class Followed(NamedTuple):
-    """Points tracked through K frames, and their positions and speeds after the last frame.
+    """Points tracked through K frames, and the positions and speeds of the points after the last frame.
 
     Positions are (N, 2) px, speeds (N, 2) px a frame.
     """
@@ -153,7 +153,7 @@ class FrameEllipse(NamedTuple):
 
 
 class EnteredPoints(NamedTuple):
-    """Points that were advected into the contact (`tracker.entry`), with displacement gradients since entry.
+    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
 
     Attributes:
         among: (K, N) bool, True for the points that were advected.
@@ -167,7 +167,7 @@ class EnteredPoints(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) fitted at query points, and their covariance (K, Q, C, 2, C, 2).
+    """Gradients (K, Q, C, 2) fitted at Q query points, and the covariance (K, Q, C, 2, C, 2) of the gradients.
 
     The covariance is None where no variances were given.
     """
@@ -177,7 +177,7 @@ class Fit(NamedTuple):
 
 
 class FrameFields(NamedTuple):
-    """Fields at N points of K frames, and their medians over the apparent contact, as in `graphs.fields_graph`."""
+    """Divergence, curl, strain and shear at N points in K frames, and medians over the contact, as `graphs.Fields`."""
 
     divergence: Array
     curl: Array
@@ -192,7 +192,7 @@ class FrameFields(NamedTuple):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Interface of an engine: stateless computations on frames.
+    """Interface that every engine implements: stateless computations on frames.
 
     The engine creates and reads templates and key frames; the caller keeps them. All methods but `update` may be called
     from several threads at once. Positions are (x, y) px, float32; pixel centres lie at integers.
@@ -210,7 +210,7 @@ class Engine(Protocol):
     cell_px: int
 
     def images(self, frames: Array) -> Images:
-        """Convert frames (K, H, W) of a view, 8 to 16 bit or floating point, to the engine's own representation.
+        """Convert frames (K, H, W) of 8 to 16 bit or floating point to the internal format of the engine.
 
         They are not copied where this can be avoided, and never written to.
         """
@@ -225,7 +225,7 @@ class Engine(Protocol):
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Compute the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none for NaN."""
+        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); no pixels for NaN."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
@@ -236,7 +236,7 @@ class Engine(Protocol):
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) of the points (K, N, 2) px of the topography view under the apparent contact.
+        """Return a mask (K, N) that is True for points (K, N, 2) px of the topography view under the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """
@@ -247,7 +247,7 @@ class Engine(Protocol):
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of its noise."""
+        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of the frame's noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
@@ -271,7 +271,7 @@ class Engine(Protocol):
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Correct tracked points for the skin's deformation since their templates were prepared.
+        """Correct tracked points for the deformation of the skin since the preparation of the templates.
 
         The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
         (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
@@ -279,18 +279,19 @@ class Engine(Protocol):
         ...
 
     def neighbours(self, start: Array) -> Any:
-        """Return the neighbour lists of points (N, 2) px in a key frame, an input of `outliers`."""
+        """Return the lists of neighbours of points (N, 2) px in a key frame, as needed by `outliers`."""
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """Return two masks (K, N): points that deviate from their neighbours, and points far more uncertain than these.
+        """Return two masks (K, N): points that deviate from their neighbours, and points far less certain than their
+        neighbours.
 
         The test is that of `ops.tracking.outliers`.
         """
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search for key-frame points around guesses (n, 2) px; return the positions (n, 2) px found.
+        """Search a frame for key-frame points around guessed positions (n, 2) px; return the positions (n, 2) px found.
 
         Also return whether (n,) the search backward returns to the start.
         """
@@ -308,9 +309,9 @@ class Engine(Protocol):
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """Fit gradients at queries (Q, 2) to values (K, N, C) at points (N, 2) in float64, as `ops.local_gradients`.
+        """Fit gradients at query positions to values known at points, in float64, as `ops.local_gradients` does.
 
-        `variance` (K, N) is that of a component of a value.
+        Queries are (Q, 2), values (K, N, C), points (N, 2). `variance` (K, N) is that of a component of a value.
         """
         ...
 
@@ -322,12 +323,12 @@ class Engine(Protocol):
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        """Compute the fields of displacements (K, N, 2) mm at reference positions (N, 2) mm, over the gauge length."""
+        """Compute divergence, curl and strain, and medians, from displacements (K, N, 2) mm at points (N, 2) mm."""
         ...
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return the tracking result of a number of frames without points."""
+    """Return an empty tracking result: that of a number of frames without points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

@@ -1,4 +1,4 @@
-"""Engine that calls the compiled library with NumPy arrays: no torch, a few large calls a frame."""
+"""Engine that calls the compiled library with NumPy arrays, without torch."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class NativeEngine:
 
 
 def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """Compute the light of the empty glass, 0 where it is not lit, and the black level, as `ops.glass_light`.
+    """Compute the light of the empty glass, with 0 at unlit pixels, and the black level, as `ops.glass_light` does.
 
     Images are (H, W).
     """

@@ -1,4 +1,4 @@
-"""Fields at tracked points and their medians over the contact, by the compiled library, from NumPy arrays."""
+"""Divergence, curl and strain at tracked points and medians over the contact, by the compiled library."""
 
 import numpy as np
 
@@ -19,17 +19,14 @@ def fields_of_frames(
     covariance: Array | None = None,
     entered: EnteredPoints | None = None,
 ) -> FrameFields:
-    """Compute fields at N points of K frames and their medians over the apparent contact, as `graphs.FieldsGraph`.
+    """Compute divergence, curl, strain and shear at N points in K frames, and medians over the apparent contact.
 
-    Args:
-        reference: (1 or K, N, 2) float32 reference positions.
-        displacement: (K, N, 2) float32 in the same unit; NaN where a point is not known.
-        gauge_length: gauge length (virtual strain gauge): diameter of the support of a fit, in that unit.
-        measure: strain measure, one of `field_limits.STRAIN_MEASURES`.
-        ellipse: of the apparent contact.
-        covariance: (K, N, 2, 2) float32 of the displacements; None for no standard deviations.
-        entered: points that were advected into the contact. Their gradients count from their own entry, and they are
-            left out of the fits of other points.
+    The results are those of `graphs.FieldsGraph`. Args: reference: (1 or K, N, 2) float32 reference positions.
+    displacement: (K, N, 2) float32 in the same unit; NaN where a point is not known. gauge_length: gauge length
+    (virtual strain gauge): diameter of the support of a fit, in that unit. measure: strain measure, one of
+    `field_limits.STRAIN_MEASURES`. ellipse: of the apparent contact. covariance: (K, N, 2, 2) float32 of the
+    displacements; None for no standard deviations. entered: points that were advected into the contact. Their gradients
+    count from their own entry, and they are left out of the fits of other points.
     """
     batch, count = displacement.shape[:2]
     rest = displacement
@@ -95,9 +92,9 @@ def _area_medians(
     measure: str,
     entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute the medians of fields over the ellipse, their standard deviations and the known share of its area.
+    """Compute the medians of divergence, curl and strain over an ellipse, with standard deviations.
 
-    The results are those of `ops.fields.area_medians`.
+    The known share of the area is returned too. The results are those of `ops.fields.area_medians`.
     """
     batch = len(displacement)
     ellipses = np.empty((batch, 6), np.float32)
@@ -146,7 +143,7 @@ def _deviations(spread: Array) -> tuple[Array, Array]:
 
 
 def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
-    """Return the standard deviations (P, 5) of divergence, curl and strain, propagated to first order.
+    """Return the standard deviations (P, 5) of divergence, curl and strain, by first-order propagation of covariances.
 
     Gradients are (4, P); the results are those of `ops.field_std`.
     """
@@ -165,6 +162,6 @@ def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
 
 
 def _root(variance: Array) -> Array:
-    """Return standard deviations from variances; a variance below zero by rounding counts as zero."""
+    """Return the square roots of variances; a variance that rounding made negative counts as zero."""
     result: Array = np.sqrt(np.maximum(variance, 0))
     return result

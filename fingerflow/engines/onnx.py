@@ -1,4 +1,4 @@
-"""Engine that runs the graphs of a deployment bundle with ONNX Runtime: one frame a call, a fixed number of points."""
+"""Engine that runs the ONNX graphs of a deployment bundle, for one frame per call and a fixed number of points."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _SUPPORTS = 4  # sets of points whose neighbours are cached
 
 
 class _KeyImage:
-    """Key frame (1, 1, H, W), and its spline coefficients, computed when a template is first updated."""
+    """Image of a key frame (1, 1, H, W), and spline coefficients that are computed for the first template update."""
 
     def __init__(self, view: Array) -> None:
         self.view, self.spline = view, None
@@ -49,7 +49,7 @@ class _KeyImage:
 
 
 class _OnnxTemplates:
-    """Templates of n points, as arrays (1, n or more, ...) by name and as stored inputs of the graph `track`."""
+    """Templates of n points: as arrays by name, and as stored inputs of the ONNX graph `track`."""
 
     def __init__(self, arrays: dict[str, Array]) -> None:
         self.arrays = arrays
@@ -59,11 +59,11 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the template statistics (n, 32), in the order of `kernels.tracking_limits.Number`."""
+        """Return the numbers (n, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
-        """Return the templates as inputs of the graph `track`, padded to `points`, in the provider's memory."""
+        """Return the templates, padded to `points`, as graph inputs kept in the memory of the execution provider."""
         with self._lock:
             if not self._values:
                 self.arrays = {name: filled(array, points, axis=1) for name, array in self.arrays.items()}
@@ -71,7 +71,7 @@ class _OnnxTemplates:
             return self._values
 
     def update(self, rows: Array, updated: _OnnxTemplates, track: GraphSession) -> None:
-        """Replace the templates with indices `rows`, also in the memory of the provider."""
+        """Replace the templates with indices `rows`, also in the memory of the execution provider."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
         if not track.shares_memory:
@@ -80,7 +80,7 @@ class _OnnxTemplates:
 
 
 class OnnxEngine:
-    """Engine that runs the graphs of a bundle with ONNX Runtime, for K = 1 frame and up to N points.
+    """Engine that runs the ONNX graphs of a deployment bundle, for one frame per call and at most N points.
 
     It implements `engine.Engine`.
 
@@ -193,7 +193,7 @@ class OnnxEngine:
     def _look(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
     ) -> FoundPoints:
-        """Track the templates with indices `rows` (L,) in a frame, near guesses (L, 2)."""
+        """Look for templates in a frame: track those with indices `rows` (L,) near guessed positions (L, 2)."""
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
             near[0, rows] = guess
@@ -223,7 +223,7 @@ class OnnxEngine:
         return Corrected(found._replace(points=points, covariance=covariance), *others)
 
     def _support(self, start: Array) -> dict[str, Any]:
-        """Return those inputs of the graph `correct` that depend only on the points' key-frame positions (1, N, 2).
+        """Return the inputs of the graph `correct` that depend only on the key-frame positions (1, N, 2) of the points.
 
         They describe the neighbours of each point, and are cached.
         """
@@ -288,7 +288,7 @@ class OnnxEngine:
         return FrameFields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
 
     def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
-        """Run a graph for few points on any number of points, in several calls, and return its outputs (1, n, ...).
+        """Run a graph of fixed size on a few points at a time, and return the concatenated outputs (1, n, ...).
 
         `of_points` (1, n, ...) is cut to what the graph takes and padded; `shared` is the same in each call.
         """
@@ -300,7 +300,7 @@ class OnnxEngine:
         return {key: np.concatenate([part[key] for part in parts], axis=1)[:, :count] for key in parts[0]}
 
     def _all(self, **given: Array) -> dict[str, Array]:
-        """Return arrays (1, n, ...) by name, padded to the N points of the graphs: with NaN, or 0 for integers.
+        """Pad arrays (1, n, ...) to all N points of the ONNX graphs: with NaN, or 0 for integers.
 
         Raises:
             FingerflowError: one has more points.

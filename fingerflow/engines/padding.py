@@ -1,4 +1,4 @@
-"""Stacking of arrays of several recordings; recordings with fewer points are padded with NaN, or 0 for integers."""
+"""Padding of arrays to equal numbers of points, with NaN, or 0 for integers, so that recordings can be stacked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fingerflow.engines.engine import Array
 
 
 def filled(array: Array, points: int, axis: int = 0) -> Array:
-    """Return an array padded to `points` entries along an axis, with NaN for floating point, else 0."""
+    """Pad an array to `points` entries along an axis, with NaN for floating point, else 0."""
     missing = points - array.shape[axis]
     if not missing:
         return array

@@ -11,7 +11,7 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, Track
 
 
 class Course(NamedTuple):
-    """Motion of N points after a frame: positions (N, 2) px, speeds (N, 2) px a frame, and which (N,) were found."""
+    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, and True (N,) if found."""
 
     place: Array
     speed: Array
@@ -19,16 +19,17 @@ class Course(NamedTuple):
 
     @classmethod
     def begin(cls, place: Array, speed: Array) -> Course:
-        """Return the motion before the first frame: the given positions and speeds, all points found."""
+        """Begin a prediction: return the motion before the first frame, with all points found."""
         return cls(place, speed, np.ones(len(place), bool))
 
     def expect(self) -> Array:
-        """Return the positions (N, 2) px predicted for the next frame."""
+        """Return the positions (N, 2) px at which the points are expected in the next frame."""
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Update the predicted motion of the points by their positions `found` (1, N) in the next frame.
+        """Return the motion after one more frame, in which the tracker has seen the points at the positions `found` (1,
+        N).
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

@@ -21,7 +21,7 @@ _REMOTE = "AzureExecutionProvider"  # computes nothing here
 
 
 def installed_providers() -> dict[str, str]:
-    """Return the execution providers of this computer: full names by short name ("CUDAExecutionProvider" by "cuda").
+    """Return the execution providers of this computer by short name, such as "cuda" for "CUDAExecutionProvider".
 
     They are in the order in which to try them: built-in ones as ONNX Runtime orders them, plugin packages, the CPU.
     """
@@ -35,7 +35,7 @@ def installed_providers() -> dict[str, str]:
 
 
 def provider_named(name: str) -> str:
-    """Return the full name of an installed execution provider from its short name.
+    """Return the full name of an installed execution provider, given the short name.
 
     Raises:
         FingerflowError: it is not installed.

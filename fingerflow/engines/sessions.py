@@ -28,14 +28,14 @@ _NUMPY = {
 
 
 class Input(NamedTuple):
-    """Shape and dtype of an input of a graph; a free batch axis counts as 1."""
+    """Shape and dtype of an input of an ONNX graph; a batch axis of variable size counts as 1."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
 
 
 class GraphSession:
-    """Graph of a bundle, ready to run; several threads may call it at once, as each call has its own tensors.
+    """ONNX Runtime session of one graph of a bundle, which several threads may call at once.
 
     Attributes:
         inputs: by name.
@@ -50,7 +50,7 @@ class GraphSession:
         self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Run the graph on inputs by name and return its outputs by name, float64 as float32.
+        """Run the graph on inputs by name and return outputs by name; float64 outputs become float32.
 
         An input is an array or a value that `kept` returned.
         """
@@ -64,11 +64,11 @@ class GraphSession:
         return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
     def kept(self, name: str, array: Array) -> Any:
-        """Place an input in the memory of the provider and return it as a value for many calls."""
+        """Place an input in the memory of the execution provider, where it is kept for many calls."""
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
     def _array(self, name: str, array: Any) -> Any:
-        """Return an input as a contiguous array of the graph's dtype; a value that `kept` returned stays unchanged."""
+        """Return an input as a contiguous array of the graph's dtype; a value from `kept` is returned unchanged."""
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]

@@ -1,4 +1,4 @@
-"""Batching of engine calls of several recordings.
+"""Batching of the engine calls of several recordings that are computed together.
 
 Each recording is a generator. It computes as if it were alone: where it needs an engine call that others may share, it
 yields a `Call` and continues with the result. When all recordings wait for a call, calls of the same kind are joined to
@@ -24,7 +24,7 @@ _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "thres
 
 
 class Call(NamedTuple):
-    """Engine call that may be batched: a method, one of `_ORDER`, and its positional arguments."""
+    """Engine call that may be batched with calls of other recordings: a method and positional arguments."""
 
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -39,16 +39,16 @@ class Joining(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return a key for comparing engines: engines with equal keys can compute their calls in one batch."""
+        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Compute one method for several recordings in a batch; `many` holds the arguments of each recording."""
+        """Compute one method for several recordings in a single batch, given the arguments `many` of each recording."""
         ...
 
 
 def run_alone(steps: Steps[T]) -> T:
-    """Run one recording without batching: make each of its engine calls by itself. Return its result."""
+    """Run one recording without batching of engine calls, and return the result of the recording."""
     try:
         call = next(steps)
         while True:
@@ -103,7 +103,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Remove and return, by recording, the waiting calls to be batched next: those of the kind first in `_ORDER`."""
+    """Remove the next group of calls to be batched (the kind first in `_ORDER`), and return it by recording."""
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place
@@ -114,13 +114,13 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 
 
 def _kind(call: Call) -> object:
-    """Return a key for comparing calls: calls with equal keys are computed in one batch."""
+    """Return the kind of a call: calls of equal kind are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
 
 
 def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Yield recording, result and error of each call in a group; one batch computes them if the engine supports it."""
+    """Yield the answers to a group of calls: recording, result and error, from one batch if the engine supports it."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
     if len(group) > 1 and isinstance(engine, Joining):

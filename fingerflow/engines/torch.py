@@ -44,7 +44,7 @@ _Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
 
 @dataclass
 class _TorchTemplates:
-    """Templates of N points, stored as `ops.Templates` (1, N, ...)."""
+    """Templates of N points, stored as tensors (1, N, ...) in an `ops.Templates`."""
 
     templates: Templates
 
@@ -192,7 +192,7 @@ class TorchEngine:
         return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
     def kind(self) -> object:
-        """Return a key for comparing engines: engines with equal keys can compute their calls in one batch.
+        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
 
         See `together.Joining`. With compiled kernels no calls are joined: it would not be faster, and results of a
         recording stay independent of the others.
@@ -201,7 +201,7 @@ class TorchEngine:
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Compute one method for several recordings, in one batch per image size and dtype."""
+        """Compute one method for several recordings, in one batch for each image size and dtype."""
         alike: dict[Any, list[int]] = {}
         for place, one in enumerate(many):
             alike.setdefault(tuple(map(_size, one)), []).append(place)
@@ -221,7 +221,7 @@ class TorchEngine:
         return [found[frames] for frames in parts(len(images) for images, _ in many)]
 
     def _lit(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
-        """Concatenate the frames of several recordings, with the light and black level of each frame.
+        """Concatenate the frames of several recordings, and the light and black level that belong to each frame.
 
         Light and black of a single recording stay (1, ...).
         """
@@ -326,7 +326,7 @@ class TorchEngine:
         ]
 
     def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Concatenate points found in the frames of several recordings; return each frame's recording and the points.
+        """Concatenate points found in frames of several recordings; return the recording of each frame, and the points.
 
         The first result is None for a single recording.
         """
@@ -354,7 +354,7 @@ class TorchEngine:
 
 
 def images_on(device: torch.device, frames: Array) -> Tensor:
-    """Convert frames (K, H, W) to a tensor (K, 1, H, W) on a device.
+    """Convert the images (K, H, W) of K frames to a tensor (K, 1, H, W) on a device.
 
     It must not be written to: on the CPU it shares memory with the frames unless these are converted. uint16 becomes
     int32, with which torch can compute, and float64 becomes float32.
@@ -369,7 +369,7 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
 
 
 class _Lent:
-    """Array interface that declares read-only memory, such as a memory map, as writable.
+    """Wrapper that lends read-only memory, such as a memory map, to torch by declaring the memory writable.
 
     Torch warns of read-only arrays, and engines only read.
     """
@@ -381,12 +381,12 @@ class _Lent:
 
 
 def _in_a_row(images: Sequence[Tensor]) -> Tensor:
-    """Concatenate the frames of several recordings."""
+    """Concatenate the frames of several recordings to one batch."""
     return images[0] if len(images) == 1 else torch.cat(list(images))
 
 
 def _size(argument: Any) -> object:
-    """Return a key for comparing arguments of two recordings: calls whose arguments have equal keys can be batched."""
+    """Return the size and dtype of an argument as a key: calls with equal keys can be computed in one batch."""
     if isinstance(argument, Tensor):
         return argument.dtype, argument.shape[1:]
     if isinstance(argument, arrays.GlassLight):

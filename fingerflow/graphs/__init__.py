@@ -1,4 +1,4 @@
-"""Torch modules composed of ops: the computations on a batch of frames, for any device, without hidden state."""
+"""Torch modules (graphs) composed of tensor ops, for computations on batches of frames on any device."""
 
 from fingerflow.graphs.contact_graph import Contact, ContactGraph
 from fingerflow.graphs.fields_graph import Entered, Fields, FieldsGraph, GrossEllipse

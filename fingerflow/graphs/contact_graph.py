@@ -35,10 +35,10 @@ class Contact(NamedTuple):
 
 
 class ContactGraph(nn.Module):
-    """Segmentation of contact-view frames into `Contact` (Willemet et al. 2021, supplement, figure S3 A).
+    """Module that segments the contact in frames of the contact view.
 
-    A pixel is in contact where its count lies below black + a limit light, with the illumination gain a
-    (`illumination_gain`). No quotient of images is formed.
+    The method follows Willemet and others, 2021 (supplement, figure S3 A). A pixel is in contact where its count lies
+    below black + a limit light, with the illumination gain a (`illumination_gain`). No quotient of images is formed.
 
     Args:
         median_px: odd side of the median window. The median rounds the ends of the ridges: 3 preserves the real
@@ -60,7 +60,7 @@ class ContactGraph(nn.Module):
         self.stride_px = stride_px
 
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
-        """Segment frames (B, 1, H, W) into their `Contact`.
+        """Segment the contact in frames (B, 1, H, W) of the contact view.
 
         `light`, `black` and `limit` are those of a `Light` of one view or of B views.
         """

@@ -21,7 +21,7 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Points that were advected into the contact, with gradients since their own entry; N points in B frames.
+    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
 
     A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
@@ -32,7 +32,7 @@ class Entered(NamedTuple):
     covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
-        """Convert the entered points to the `Apart` of `area_medians`, with fields computed from their gradients."""
+        """Return the entered points as `Apart`, with divergence, curl and strain computed from their gradients."""
         first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
         fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
         std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)
@@ -40,7 +40,7 @@ class Entered(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """Fields at N points of B frames, and their medians over the apparent contact.
+    """Divergence, curl, strain and shear at N points in B frames, and medians over the apparent contact.
 
     Attributes:
         divergence, curl: (B, N), curl in rad; NaN where the displacement of the point itself is not known.
@@ -64,7 +64,7 @@ class Fields(NamedTuple):
 
 
 class FieldsGraph(nn.Module):
-    """Divergence, curl and strain of displacements of scattered points, by local fits over the gauge length.
+    """Module that computes divergence, curl and strain from displacements of scattered points, by local fits.
 
     `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
     `ops.fields.area_medians` computes the medians over the contact.
@@ -85,9 +85,9 @@ class FieldsGraph(nn.Module):
         ellipse: GrossEllipse | None = None,
         entered: Entered | None = None,
     ) -> Fields:
-        """Compute fields and medians from reference positions and displacements in one length unit.
+        """Compute divergence, curl, strain and their medians from reference positions and displacements of points.
 
-        Unknown displacements are NaN.
+        Positions and displacements have one length unit. Unknown displacements are NaN.
 
         Args:
             reference: (1 or B, N, 2).

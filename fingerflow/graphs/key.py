@@ -8,7 +8,7 @@ from fingerflow.ops.tracking.templates import Templates, prepare_templates
 
 
 class KeyGraph(nn.Module):
-    """Module that prepares templates of points; settings as in `ops.tracking.templates.prepare_templates`."""
+    """Module that prepares the templates of points in a key frame, with the settings of `prepare_templates`."""
 
     point_axes: ClassVar = {"points": 1, "warp": 1}
 
@@ -20,7 +20,7 @@ class KeyGraph(nn.Module):
     def forward(
         self, view: Tensor, points: Tensor, noise: Tensor | None = None, warp: Tensor | None = None
     ) -> Templates:
-        """Prepare the templates of points (B, N, 2) px in a view (B, 1, H, W).
+        """Prepare the templates of points (B, N, 2) px in a key frame (B, 1, H, W) of the topography view.
 
         `noise` (B,) is the standard deviation of the view's noise in grey levels, estimated by default. `warp`
         (B, N, 2, 2) is the deformation gradient since the key frame.

@@ -23,7 +23,7 @@ class Light(NamedTuple):
 
 
 class LightGraph(nn.Module):
-    """Computation of the reference `Light` from the empty glass, a dark frame and the contact threshold.
+    """Module that computes the reference light from the empty glass, a dark frame and the contact threshold.
 
     A pixel is in contact where its count is less than black + limit light.
 
@@ -36,9 +36,9 @@ class LightGraph(nn.Module):
         self.precision = precision
 
     def forward(self, empty: Tensor, dark: Tensor | None, threshold: Tensor) -> Light:
-        """Compute the reference light from camera counts (B, 1, H, W) of one frame or the mean of several.
+        """Compute the reference light from camera counts (B, 1, H, W) of the empty glass.
 
-        `dark` is None or zeros where it is unknown. `threshold` (B,) is a relative intensity loss, NaN while it is
-        unknown: then only pixels below `black` are in contact.
+        Counts are those of one frame or the mean of several. `dark` is None or zeros where it is unknown. `threshold`
+        (B,) is a relative intensity loss, NaN while it is unknown: then only pixels below `black` are in contact.
         """
         return Light(*glass_light(empty, dark, self.precision), 1 - threshold.to(self.precision))

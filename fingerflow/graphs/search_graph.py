@@ -7,7 +7,7 @@ from fingerflow.ops.tracking.search import search_and_return
 
 
 class SearchGraph(nn.Module):
-    """Search forward around predicted positions, and backward from the matches; settings as in `ops.track_points`."""
+    """Module that searches around predicted positions and back from each match; settings as of `ops.track_points`."""
 
     def __init__(self, window: int = 25, radius: int = 8, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
@@ -18,7 +18,8 @@ class SearchGraph(nn.Module):
     def forward(
         self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Search for points (B, N, 2) px of the key view around their predicted positions (B, N, 2) px.
+        """Search a view for points (B, N, 2) px of the key frame, around the predicted positions (B, N, 2) px of the
+        points.
 
         Views are (B, 1, H, W).
 

@@ -13,7 +13,7 @@ from fingerflow.ops.tracking.templates import Found, Templates, find_templates
 
 
 class Deformed(NamedTuple):
-    """Tracked points, corrected for the deformation of the skin in their templates.
+    """Tracked points, corrected for the deformation of the skin since the preparation of the templates.
 
     Attributes:
         found: the points found, with corrected positions and covariances.
@@ -29,7 +29,7 @@ class Deformed(NamedTuple):
 
 
 class DeformationGraph(nn.Module):
-    """Estimation of the skin deformation from tracked points, and correction of their positions for it.
+    """Module that estimates the deformation of the skin from tracked points and corrects the positions of the points.
 
     The method is that of `ops.tracking.deformation`.
     """
@@ -41,7 +41,7 @@ class DeformationGraph(nn.Module):
         self.window = window
 
     def support(self, start: Tensor) -> Support | None:
-        """Return the weights of the local fits between key-frame positions (B, N, 2) px.
+        """Return the weights (`Support`) of local fits around points at key-frame positions (B, N, 2) px.
 
         None where compiled kernels run, which do not need them.
         """
@@ -50,10 +50,11 @@ class DeformationGraph(nn.Module):
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
     ) -> Deformed:
-        """Correct points found in K frames for the deformation; `start` (1, N, 2) px are their key-frame positions.
+        """Correct the positions of points found in K frames for the measured deformation of the skin.
 
-        `numbers` (1, N, 32) are the template statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1
-        with which the templates were prepared. `support` is computed from `start` where it is None.
+        `start` (1, N, 2) px are the positions of the points in the key frame. `numbers` (1, N, 32) are the template
+        statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1 with which the templates were prepared.
+        `support` is computed from `start` where it is None.
         """
         given = start, found.points, found.covariance, numbers, inverse_warp
         corrected = correct_points(*given, self.window, WARP_GAUGE_PX, support or self.support(start))
@@ -62,12 +63,12 @@ class DeformationGraph(nn.Module):
 
 
 class AgreementGraph(nn.Module):
-    """Outlier detection: points whose displacement deviates from their neighbours', or is far less certain."""
+    """Module that detects outliers: points that disagree with their neighbours, or are far less certain."""
 
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """Return the outliers among points (K, N, 2) of K frames.
+        """Return the outliers among points (K, N, 2) tracked in K frames.
 
         `position_std` (K, N) is the standard deviation of a component. `neighbours` is
         `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.
@@ -76,7 +77,7 @@ class AgreementGraph(nn.Module):
 
 
 class TrackGraph(nn.Module):
-    """Registration of key-frame templates (subsets) in a frame by one step.
+    """Module that registers key-frame templates in a frame by one Lucas-Kanade step.
 
     Settings are those of `ops.tracking.templates.find_templates`.
     """

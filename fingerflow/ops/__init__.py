@@ -1,4 +1,4 @@
-"""Batched tensor ops: pure functions of tensors, one op per file, independent of the application to fingers."""
+"""Tensor operations (ops) on batches of frames or points: pure functions, independent of the application to fingers."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -40,7 +40,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    """Return an op by its name; its module is imported on first use."""
+    """Return the op called `name`, and import the module that defines the op on first use."""
     if name in _HOMES:
         return getattr(import_module(f"fingerflow.ops.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'fingerflow.ops' has no attribute {name!r}")

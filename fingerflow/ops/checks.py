@@ -5,19 +5,19 @@ from torch import Tensor
 
 
 def check_frames(frames: Tensor) -> None:
-    """Raise ValueError unless frames are (B, 1, H, W)."""
+    """Raise ValueError unless frames have the shape (B, 1, H, W): B frames of H x W px."""
     if frames.ndim != 4 or frames.shape[1] != 1:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
 
 
 def check_pixels(frames: Tensor, least: int) -> None:
-    """Raise ValueError unless frames (B, 1, H, W) have `least` pixels or more along both axes."""
+    """Raise ValueError if the height or the width of frames (B, 1, H, W) is below `least` pixels."""
     if min(frames.shape[-2:]) < least:
         raise ValueError(f"frames of {tuple(frames.shape[-2:])} px: give at least {least} x {least}")
 
 
 def check_mask(mask: Tensor) -> None:
-    """Raise TypeError unless a mask is bool, ValueError unless it is (B, 1, H, W)."""
+    """Raise TypeError if a mask is not bool, or ValueError if the shape of the mask is not (B, 1, H, W)."""
     if mask.dtype != torch.bool:
         raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
     if mask.ndim != 4 or mask.shape[1] != 1:

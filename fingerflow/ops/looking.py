@@ -1,4 +1,4 @@
-"""Test whether an op may branch on the values of its tensors: not while torch traces, exports or compiles."""
+"""Test whether an op may branch on tensor values, which it may not while torch traces, exports or compiles."""
 
 import torch
 from torch import Tensor
@@ -7,7 +7,7 @@ from fingerflow.kernels.tensors.serving import is_recorded
 
 
 def looks(*tensors: Tensor | None) -> bool:
-    """Return True if code may branch on the values of these tensors, or derive shapes from them.
+    """Return True if code may look at the values of `tensors`, to branch on them or derive shapes from them.
 
     It may not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """

@@ -1,4 +1,4 @@
-"""Evaluation of batches a few frames at a time, so that intermediate planes stay in a processor's cache."""
+"""Evaluation of a batch a few frames at a time, so that intermediate images fit into the processor's cache."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,12 +13,12 @@ _PIXELS = 1 << 19
 
 
 def frames_at_once(frames: Tensor) -> int:
-    """Return how many frames (B, 1, H, W) to compute at once in an op with many intermediate planes per frame."""
+    """Return how many frames (B, 1, H, W) to compute at once so that intermediate images fit into the cache."""
     return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
-    """Evaluate `compute(*given)` a few frames at a time.
+    """Evaluate `compute(*given)` for a few frames of the batch at a time, and concatenate the results.
 
     It returns a tensor, or a named tuple of tensors, with one row per frame. While a graph is traced and on devices
     other than the CPU the whole batch is computed in one call.

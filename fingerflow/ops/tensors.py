@@ -1,4 +1,4 @@
-"""Elementary tensor operations in forms that ONNX Runtime executes several times as fast."""
+"""Elementary tensor operations, written in forms that ONNX Runtime executes fast."""
 
 import math
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def components_first(points: Tensor) -> Tensor:
-    """Transpose points (B, N, K) to (B, K, N); a point with NaN in one component becomes NaN in all.
+    """Transpose points (B, N, K) to components first, (B, K, N); NaN in one component makes the whole point NaN.
 
     Runtimes are slow where the last axis is short. The transposition is part of a matrix product, because an optimiser
     would move a separate transposition behind the operations that follow.
@@ -16,12 +16,12 @@ def components_first(points: Tensor) -> Tensor:
 
 
 def finite(values: Tensor) -> Tensor:
-    """Return True for finite values: two operations where `isfinite` takes four."""
+    """Test for finite values like `torch.isfinite`, but with two operations instead of four."""
     return values.abs() < math.inf
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """Return the sum of a tensor (..., K, P) over its axis of K elements, (..., 1, P); K is a fixed number.
+    """Sum a tensor (..., K, P) over the second-last axis, of fixed length K: return (..., 1, P).
 
     It is a product with ones: a reduction over such an axis takes ten times as long.
     """
@@ -29,7 +29,7 @@ def sum_rows(values: Tensor) -> Tensor:
 
 
 def symmetric(three: Tensor) -> Tensor:
-    """Return symmetric matrices (B, 2, 2, Q) from their elements xx, xy, yy (B, 3, Q)."""
+    """Return symmetric 2 x 2 matrices (B, 2, 2, Q), given the elements xx, xy and yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)
     result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
     return result
@@ -47,5 +47,5 @@ def products(left: Tensor, right: Tensor) -> Tensor:
 
 
 def bytes_of(mask: Tensor) -> Tensor:
-    """Return a mask (...) bool as uint8, 0 or 1: a view of the same memory, or a cast while a graph is exported."""
+    """Convert a bool mask to uint8, 0 or 1: as a view of the same memory, or by a cast while a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)

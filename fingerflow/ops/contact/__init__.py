@@ -1,1 +1,1 @@
-"""Real and apparent contact area of images."""
+"""Segmentation of the real and the apparent contact in images, and measurement of contact areas."""

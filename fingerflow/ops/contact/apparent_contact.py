@@ -1,4 +1,4 @@
-"""Apparent (gross) contact: the region spanned by a pattern of stripes or dots, including the gaps between them."""
+"""Segmentation of the apparent (gross) contact: the region spanned by ridges in contact, with the gaps between them."""
 
 import functools
 import math
@@ -20,7 +20,7 @@ _BLOCK = 8  # cells, side of the blocks on which components are separated
 
 
 class ApparentRegion(NamedTuple):
-    """Apparent contact regions of B frames.
+    """Apparent contact regions in B frames, with areas and fitted ellipses.
 
     Attributes:
         density_margin: (B, 1, h, w) density of the pattern minus its limit, on cells: positive inside the region,
@@ -42,7 +42,8 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the region around the densest part of a mask, up to where its density has fallen to about half.
+    """Segment the apparent contact: the region where the smoothed mask exceeds about half of the mean inside the
+    region.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
@@ -83,14 +84,14 @@ def apparent_contact(
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
-    """Segment the apparent contact from the fraction of each cell, (B, 1, h, w), that the mask covers."""
+    """Segment the apparent contact, given the fraction of each cell (B, 1, h, w) that the real contact mask covers."""
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
     height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
-        """Return the fraction of each cell in which the density, a plane across the cell, exceeds `limit`."""
+        """Return the fraction of each cell where the density, taken as linear across the cell, exceeds `limit`."""
         return (height - flat * limit).clamp(0.0, 1.0)
 
     def share(part: Tensor) -> Tensor:
@@ -121,7 +122,7 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:
-    """Return the density: values on cells, smoothed by three box means of `width` cells along x and y.
+    """Smooth values on cells by three successive box means, each `width` cells wide in x and y.
 
     Beyond the frame the values are 0.
     """
@@ -139,13 +140,13 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
 
 
 def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
-    """Divide a line of `side` cells into parts; return slices of each part and of the cells within `reach` of it."""
+    """Return slices that divide `side` cells into segments, each with a slice widened by `reach` cells at both ends."""
     ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
     return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
 def _boxes(side: int, width: float, device: torch.device) -> Tensor:
-    """Return the smoothing matrix (side, side) float64 of three successive box means, each `width` cells wide.
+    """Return the matrix that smooths a line of `side` cells by three successive box means, each `width` cells wide.
 
     The cells at the ends of a box have fractional weights.
     """
@@ -158,7 +159,7 @@ _kept_boxes = functools.lru_cache(16)(_boxes)
 
 
 def _slope(density: Tensor) -> Tensor:
-    """Compute the magnitude of the density's gradient per cell, at least 1e-6.
+    """Compute the slope of the density on cells: the magnitude of the gradient, at least 1e-6.
 
     Differences are central; beyond the frame the density is 0.
     """
@@ -168,7 +169,7 @@ def _slope(density: Tensor) -> Tensor:
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """Return the part of a region that is connected to its densest cell; connections are resolved to blocks of 8 cells.
+    """Return the connected component of a region that contains the densest cell, resolved to blocks of 8 x 8 cells.
 
     The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
     is longer is cut off there.
@@ -186,7 +187,7 @@ def _main_component(inside: Tensor, density: Tensor) -> Tensor:
 
 
 def _enclosed(inside: Tensor) -> Tensor:
-    """Fill holes: return 1 for cells of the region, and for cells with the region on all four sides, else 0."""
+    """Fill the holes of a region (1 inside, else 0): add the cells that have region cells on all four sides."""
     between = []
     for axis in (2, 3):
         side = inside.shape[axis]
@@ -199,9 +200,9 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the area of a region, and centre, semi-axes (px) and angle (rad) of the ellipse with equal moments.
+    """Compute the area of a region, and the centre, semi-axes and angle of the ellipse that has the region's moments.
 
-    The definitions are those of `ops.contact.ellipse.fit_ellipse`.
+    Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """
     # Moments about the centre of the frame, in cells, so that float32 represents the squares.
     powers = []

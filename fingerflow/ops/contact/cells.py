@@ -1,4 +1,4 @@
-"""Images on square cells: means over cells, and interpolation between cells.
+"""Reduction of images to means over square cells, and interpolation between cells.
 
 Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
 """
@@ -13,7 +13,7 @@ from fingerflow.ops.tensors import bytes_of
 
 
 def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
-    """Compute the means (B, 1, h, w) over cells of `cell` x `cell` px of an image (B, 1, H, W), padded with zeros."""
+    """Compute the means of an image (B, 1, H, W) over cells of `cell` x `cell` px; the image is padded with zeros."""
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
     # The lines of a mask are added as bytes, which hold 255: a sum of floats takes five times as long.
@@ -28,7 +28,7 @@ def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32)
 
 
 def sum_of(parts: Sequence[Tensor]) -> Tensor:
-    """Return the sum of tensors of one shape and dtype, by pairwise summation."""
+    """Return the elementwise sum of several tensors of equal shape and dtype, by pairwise summation."""
     while len(parts) > 1:
         parts = [first + second for first, second in zip(parts[::2], parts[1::2], strict=False)] + list(
             parts[len(parts) // 2 * 2 :]
@@ -37,7 +37,7 @@ def sum_of(parts: Sequence[Tensor]) -> Tensor:
 
 
 def widest(cells: Tensor) -> Tensor:
-    """Return the maximum over the 3 x 3 cells around each cell (B, 1, h, w); values are non-negative, 0 beyond."""
+    """Return the maximum of the 3 x 3 cells around each cell (a dilation), for values that are not negative."""
     down = functional.pad(cells, (0, 0, 1, 1))
     down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
     along = functional.pad(down, (1, 1))
@@ -45,14 +45,15 @@ def widest(cells: Tensor) -> Tensor:
 
 
 def enlarge(cells: Tensor, times: int) -> Tensor:
-    """Repeat every cell of (B, 1, h, w) as a square of `times` x `times` cells."""
+    """Enlarge an image on cells (B, 1, h, w): replace every cell by `times` x `times` equal cells."""
     return functional.interpolate(cells, scale_factor=times, mode="nearest")
 
 
 def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Interpolate values on cells (B, 1, h, w) bilinearly at finite positions x, y (B, N) in units of cells, to (B, N).
+    """Interpolate values on cells (B, 1, h, w) bilinearly at positions x and y (B, N), in units of cells.
 
-    Positions beyond the centres of the outermost cells take the value at the nearest position between centres.
+    Positions are finite. Positions beyond the centres of the outermost cells take the value at the nearest position
+    between centres.
     """
     height, width = cells.shape[-2:]
     x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
@@ -68,7 +69,7 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Test whether positions lie inside the regions of `ops.contact.apparent_contact`, to a fraction of a pixel.
+    """Test whether the apparent contact covers given positions in the image, to a fraction of a pixel.
 
     Args:
         density_margin: (B, 1, h, w) of `ApparentRegion`, on cells of `cell` px.
@@ -87,7 +88,7 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """Return the mask (B, 1, height, width) bool of all pixels of a frame for which `covered` is true.
+    """Return the mask (B, 1, height, width) bool of the pixels that the apparent contact covers, as in `covered`.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -101,9 +102,10 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the indices of the two cells between whose centres each pixel of a line lies, and the pixel's distance.
+    """Return the two cells whose centres enclose each pixel of a line, as indices, and the weight of the second cell.
 
-    The distance is from the first cell, in cells; the line is clamped as in `at_places`. Each result is (pixels,).
+    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`.
+    Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

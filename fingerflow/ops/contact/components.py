@@ -41,7 +41,7 @@ def fill_holes(mask: Tensor) -> Tensor:
 
 
 def largest_component(mask: Tensor) -> Tensor:
-    """Return the largest 8-connected component of each mask; of equally large ones the first in reading order.
+    """Return the largest 8-connected component of each mask, or the first in reading order of equally large ones.
 
     Args:
         mask: (B, 1, H, W) bool.
@@ -68,7 +68,7 @@ def largest_component(mask: Tensor) -> Tensor:
 
 
 class _Runs(NamedTuple):
-    """Flat indices of the first and the last pixel of each horizontal run of a mask, in reading order."""
+    """Horizontal runs of True pixels in a mask: flat indices of the first and the last pixel of each run."""
 
     first: Tensor
     last: Tensor
@@ -82,7 +82,7 @@ def _find_runs(mask: Tensor) -> _Runs:
 
 
 def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
-    """Return the mask that consists of the chosen runs, in the shape of `like`."""
+    """Paint the chosen runs of pixels as True into a new mask of the shape of `like`."""
     change = torch.zeros(like.numel() + 1, dtype=torch.int8, device=like.device)
     change[runs.first[chosen]] = 1
     change[runs.last[chosen] + 1] -= 1  # a run may begin where, in the row above, another one ended
@@ -90,7 +90,7 @@ def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
 
 
 def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
-    """Return, for each run of a mask, the index of the first run in its connected component."""
+    """Label the runs of a mask: return, for each run, the index of the first run in the same connected component."""
     height, width = shape[-2:]
     # The runs of the next row that touch run i are neighbours in the list: from the first that does not end before
     # run i begins to the last that does not begin after it ends.
@@ -110,7 +110,7 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """Find connected components of a graph: return, for each node, the smallest node of its component.
+    """Join the nodes of a graph to components: return, for each node, the smallest node of the same component.
 
     Edge k joins nodes `upper[k]` and `lower[k]`.
     """

@@ -9,7 +9,7 @@ from fingerflow.ops.checks import check_mask
 
 
 class FittedEllipse(NamedTuple):
-    """Ellipses of B masks, float64.
+    """Ellipses fitted to B masks, in float64.
 
     Attributes:
         center: (B, 2) px as (x, y).
@@ -25,11 +25,12 @@ class FittedEllipse(NamedTuple):
 
 
 def fit_ellipse(mask: Tensor) -> FittedEllipse:
-    """Fit ellipses to masks by moments: a filled ellipse has the variance (semi-axis)^2 / 4 along each axis.
+    """Fit an ellipse to each mask: the filled ellipse with the first and second moments of the mask's pixels.
 
-    A pixel belongs to a mask when its centre does, so the pixel centres sample the area regularly and their variance
-    needs no correction. (Treating each pixel as a filled square would add 1/12 px^2 and lengthen a semi-axis a by the
-    fraction 1/(6 a^2): 0.17 % at a = 10 px.) A single pixel has semi-axes of 0, a line has a minor semi-axis of 0.
+    A filled ellipse has the variance (semi-axis)^2 / 4 along each axis. A pixel belongs to a mask when its centre does,
+    so the pixel centres sample the area regularly and their variance needs no correction. (Treating each pixel as a
+    filled square would add 1/12 px^2 and lengthen a semi-axis a by the fraction 1/(6 a^2): 0.17 % at a = 10 px.) A
+    single pixel has semi-axes of 0, a line has a minor semi-axis of 0.
 
     Args:
         mask: (B, 1, H, W) bool.
@@ -59,7 +60,7 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
 
 
 def mask_moments(mask: Tensor) -> Tensor:
-    """Compute exact sums over the pixels of masks: the area and the moments of first and second order.
+    """Compute the area and the first and second moments of masks, as exact sums over pixels.
 
     Args:
         mask: (B, 1, H, W) bool.

@@ -1,4 +1,4 @@
-"""Illumination gain of a frame relative to the empty glass, from the glass that is still visible in it."""
+"""Illumination gain of a frame relative to an image of the empty glass, measured where no finger covers the glass."""
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ _NARROW, _BESIDE = 0.02, 0.06
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
-    """Return the ratio of a frame's light to that of the empty glass, measured where no skin touches the glass.
+    """Return the ratio of a frame's light to the light of the empty glass, measured where no skin touches the glass.
 
     It is NaN if no glass is visible. A block is wide enough to hold a ridge and the skin beside it. In every block skin
     is therefore darker than glass and has a larger variance. A mean shift that starts from the brightest of the smooth
@@ -57,7 +57,7 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return, for each block of a frame, the sum of its pixels and the sum of their squares, (B, 2, N).
+    """Return the sums (B, 2, N) of the pixels and of the squared pixels over each block of a frame.
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """

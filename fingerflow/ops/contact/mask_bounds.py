@@ -8,7 +8,7 @@ Range = tuple[int, int]
 
 
 def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
-    """Return the rectangle around masks (B, 1, H, W), with a margin in px: ranges [first, last) of rows and columns.
+    """Return the ranges [first, last) of rows and columns that bound masks (B, 1, H, W) plus a margin in px.
 
     Return the ranges of the whole image if the masks are empty, or if the rectangle has fewer than `least` pixels or a
     side of at most two margins. So too where shapes must not depend on data: while torch compiles, traces or exports,

@@ -1,4 +1,4 @@
-"""Otsu's threshold (1979) from a histogram."""
+"""Otsu's threshold (1979), computed from the histogram of an image."""
 
 import functools
 from typing import NamedTuple
@@ -14,7 +14,7 @@ _MOST_COMPILED_BINS = 1 << 16
 
 
 class Classes(NamedTuple):
-    """Otsu's threshold and the two classes that it separates, (B,) each, in levels.
+    """Otsu's threshold of B histograms, and the means of the two classes of levels that it separates.
 
     Attributes:
         threshold: NaN where only one level occurs; the other attributes then have no meaning.
@@ -66,7 +66,7 @@ def histogram(
 def otsu_threshold(
     frames: Tensor, mask: Tensor | None = None, value_range: tuple[float, float] | None = None
 ) -> Tensor:
-    """Return the threshold that splits a frame's pixels into the two classes with the largest variance between them.
+    """Return Otsu's threshold, which maximises the variance between two classes of a frame's pixels.
 
     It uses 256 fixed bins as OpenCV does, so that `frames > threshold` is OpenCV's THRESH_OTSU for uint8. If empty bins
     separate two classes, every threshold in them is equally good; the lowest is returned.
@@ -100,9 +100,10 @@ def otsu_threshold(
 
 
 def otsu_classes(counts: Tensor) -> Classes:
-    """Split histograms (B, 256) of levels 0 to 255 into Otsu's two classes (1979, eq. 18), in the dtype of the counts.
+    """Split histograms (B, 256) of levels 0 to 255 into the two classes of Otsu's threshold.
 
-    Of equally good thresholds the lowest is taken.
+    The variance between the classes is that of Otsu 1979, equation 18; of equally good thresholds the lowest is taken.
+    Results have the dtype of the counts.
     """
     centre = (_BINS - 1) / 2  # moments about the middle level, so that float32 represents them
     level = torch.arange(_BINS, dtype=counts.dtype, device=counts.device) - centre
@@ -140,13 +141,13 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
 
 @functools.lru_cache(8)
 def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
-    """Return the lookup table from each level of an unsigned integer dtype to its histogram bin, as uint16."""
+    """Return the lookup table, as uint16, from each level of an unsigned integer dtype to the level's histogram bin."""
     levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32, device="cpu")
     return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Return the histogram bin of every pixel, (B, H W) int32; `bins` for a pixel that is not finite."""
+    """Return the index of the histogram bin of every pixel, (B, H W) int32; `bins` marks a pixel that is not finite."""
     values = frames.flatten(1)
     if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
         if frames.dtype == torch.uint8 and low == -1 and bins == 256:

@@ -1,1 +1,1 @@
-"""Fields of tracked points: gradients, strain, medians over an area, and their standard deviations."""
+"""Fields from tracked points: displacement gradients, strain, medians over the contact, and standard deviations."""

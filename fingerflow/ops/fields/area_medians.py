@@ -1,4 +1,4 @@
-"""Medians of divergence, curl and strain over ellipses of the deformed image, from scattered points."""
+"""Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points."""
 
 import math
 from functools import partial
@@ -27,7 +27,7 @@ _LATTICE = torch.from_numpy(limits.lattice())
 
 
 class AreaMedians(NamedTuple):
-    """Medians over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN if not known."""
+    """Medians of divergence, curl (rad) and strain (exx, eyy, exy) over the ellipses of B frames; NaN if unknown."""
 
     median: Tensor  # (B, 5)
     std: Tensor | None  # (B, 5), standard deviation due to the points' covariance
@@ -35,7 +35,7 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points excluded from the local fits, with their fields computed otherwise; N points in B frames."""
+    """Points kept apart from the local fits, because their divergence, curl and strain are already given."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -54,7 +54,7 @@ def area_medians(
     covariance: Tensor | None = None,
     apart: Apart | None = None,
 ) -> AreaMedians:
-    """Compute the medians of divergence, curl and strain over ellipses of the current (deformed) image.
+    """Compute the medians of divergence, curl and strain over an ellipse in each current (deformed) frame.
 
     The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
     fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
@@ -125,7 +125,8 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Compute `_medians` without the points that are unknown in every frame; with all points while a graph is traced.
+    """Compute the medians without the points that are unknown in every frame, or with all points while torch traces a
+    graph.
 
     The known points are few while a contact grows.
     """
@@ -152,9 +153,9 @@ def _medians(
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians of fields by matrix products at fixed cost, the form that is exported.
+    """Compute the medians of divergence, curl and strain by matrix products, in the form that is exported to ONNX.
 
-    `entered` are the three attributes of `Apart`, or None.
+    The cost is fixed. `entered` are the three attributes of `Apart`, or None.
     """
     reference, displacement = reference.mT, displacement.mT  # components before points from here on
     if covariance is not None:
@@ -223,7 +224,7 @@ def _medians(
 
 
 def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """Return the median (B, 5) of each field over its `count` (B, 1, 1) known values.
+    """Return the median (B, 5) of each of five fields over the known values, `count` (B, 1, 1) of each field.
 
     It is arbitrary where fewer than half of the values are known.
     """
@@ -238,7 +239,7 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
 
 
 class _OfNearest(NamedTuple):
-    """Fields of the nearest point of `Apart`, for each of Q positions."""
+    """Fields at Q positions, taken from the nearest point where that point belongs to `Apart`."""
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -247,7 +248,7 @@ class _OfNearest(NamedTuple):
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Return, for each position whose nearest point belongs to `Apart`, the fields of that point.
+    """Return the fields of the nearest point, for each position whose nearest point belongs to `Apart`.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -267,7 +268,7 @@ def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:
-    """Return divergence, curl and strain (B, 5, Q) of gradients (B, 4, Q)."""
+    """Return the five fields divergence, curl, exx, eyy and exy (B, 5, Q) of displacement gradients (B, 4, Q)."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     strain = green_lagrange(gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2), measure)
     return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
@@ -283,7 +284,8 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) with which the error of a field at each position enters the error of its median.
+    """Return the weight (B, 5, Q) of each position in the error of a median: large where the field lies beside the
+    median.
 
     The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
     median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
@@ -301,7 +303,7 @@ def _beside(
 
 
 def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, N) of the five fields' weighted means with respect to the points' displacements.
+    """Return the derivatives (B, 5, 2, N) of the means of five fields with respect to the displacements of N points.
 
     The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
     position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so
@@ -319,7 +321,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to gradients (B, 4, Q)."""
+    """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to displacement gradients."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
     result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
@@ -358,7 +360,7 @@ def _check(
 
 
 def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Check an `Apart` and convert it to the dtype of `displacement`; drop standard deviations unless `with_std`."""
+    """Return a checked `Apart` in the dtype of `displacement`, with standard deviations only if `with_std`."""
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

@@ -18,7 +18,7 @@ def scattered_to_grid(
     gauge_length: float,
     mask: Tensor | None = None,
 ) -> Tensor:
-    """Interpolate values (B, N, C) at scattered points (B, N, 2) to the nodes of a grid, (B, C, H, W).
+    """Interpolate values (B, N, C) at scattered points (B, N, 2) to the H x W nodes of a regular grid: (B, C, H, W).
 
     Each node takes the value of the weighted linear fit of `local_gradients` with this gauge length (see there for the
     smoothing). It is exact for linear fields. A node is NaN

@@ -1,4 +1,4 @@
-"""Value and gradient of a field known at scattered points, from a weighted linear fit around each query."""
+"""Value and gradient of a field known at scattered points, from a weighted linear fit around each query position."""
 
 import math
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from fingerflow.ops.fields.weighted_moments import weighted_moments
 
 
 class LocalFit(NamedTuple):
-    """Linear fits around Q queries to values of C components; NaN where the points do not determine a fit."""
+    """Linear fits to values of C components around Q query positions; NaN where the points do not determine a fit."""
 
     value: Tensor  # (B, Q, C), the unit of the values
     gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
@@ -31,7 +31,8 @@ def local_gradients(
     variance: Tensor | None = None,
     minimum_points: int = MINIMUM_POINTS,
 ) -> LocalFit:
-    """Fit a plane by weighted least squares to the values around each query; return its value and gradient there.
+    """Return value and gradient at each query position, from a weighted least-squares plane through the values around
+    it.
 
     A point at distance r from the query has the weight (1 - (r/R)^2)^2 within R = gauge_length / 2, and 0 beyond.
 
@@ -160,7 +161,7 @@ def _check(
 
 
 def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
-    """Return the covariance (B, Q, C, 2, C, 2) of fitted gradients: A^-1 (sum w^2 s d d') A^-1, d from the centroid."""
+    """Return the covariance (B, Q, C, 2, C, 2) of gradients fitted by weighted least squares, from noise sums."""
     plain, along_x, along_y, xx, xy, yy = (noise_sums / mass.square()[..., None, None]).unbind(-2)  # (B, Q, V) each
     x, y = centre[..., :1], centre[..., 1:]
     xx = xx - 2 * x * along_x + x * x * plain
@@ -176,5 +177,5 @@ def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inver
 
 
 def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor) -> Tensor:
-    """Return matrices (..., 2, 2) of the elements a, b, c, d (...), row by row."""
+    """Return 2 x 2 matrices (..., 2, 2) with the elements a, b, c and d, row by row."""
     return torch.stack((torch.stack((a, b), dim=-1), torch.stack((c, d), dim=-1)), dim=-2)

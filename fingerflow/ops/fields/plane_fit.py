@@ -1,4 +1,4 @@
-"""Local plane fits as a few matrix products at fixed cost: `ops.fields.local_fit` for exported graphs and accelerators.
+"""Local plane fits by a few matrix products: the form of `ops.fields.local_fit` for exported graphs and accelerators.
 
 Components precede points, (B, 2, N): ONNX runtimes are slow if the last axis is short.
 """
@@ -17,7 +17,7 @@ _ONE = 2.0**-60  # stands for 1 in counts: less than any positive value here, so
 
 
 class Support(NamedTuple):
-    """Weights between N points and Q queries of local fits, independent of the fitted values.
+    """Weights of N points in local fits around Q query positions, independent of the fitted values.
 
     Attributes:
         weights: (1 or B, Q, N), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
@@ -29,10 +29,10 @@ class Support(NamedTuple):
 
 
 class PlaneFit(NamedTuple):
-    """Planes fitted around Q queries of B frames to values of C components; lengths in radii of the support.
+    """Planes fitted to values of C components around Q query positions in each of B frames.
 
-    Values are arbitrary where not `known`. What does not depend on the fitted values may have a batch of 1 for all
-    frames.
+    Lengths are in radii of the support. Values are arbitrary where not `known`. What does not depend on the fitted
+    values may have a batch of 1 for all frames.
     """
 
     known: Tensor  # (B, 1, Q) bool
@@ -45,9 +45,9 @@ class PlaneFit(NamedTuple):
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return positions (B, 2, N) relative to the mean of points (B, N, 2), in radii, and which points are known.
+    """Return the positions of points relative to the mean of the points, in radii, and a mask of the known points.
 
-    The second result is a mask (B, 1, N) bool. Unknown positions are 0.
+    Points are (B, N, 2), the results (B, 2, N) and (B, 1, N) bool. Unknown positions are 0.
     """
     moved = points.mT
     given = finite(sum_rows(moved))
@@ -58,10 +58,10 @@ def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Te
 
 
 def support_of(places: Tensor, queries: Tensor) -> Support:
-    """Compute the `Support` of points at `places` (1 or B, 2, N) and queries (1 or B, 2, Q).
+    """Compute the weights (`Support`) of points at `places` in local fits around `queries`.
 
-    Both are in radii of the support from one origin. 1 - |x_i - x_q|^2 is the product of (2x, |x|^2, 1) with its
-    counterpart: one matrix product serves all pairs.
+    Places (1 or B, 2, N) and queries (1 or B, 2, Q) are in radii of the support from one origin. 1 - |x_i - x_q|^2 is
+    the product of (2x, |x|^2, 1) with its counterpart: one matrix product serves all pairs.
     """
     norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
     support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
@@ -79,9 +79,10 @@ def fit_planes(
     radius: float | Tensor,
     support: Support | None = None,
 ) -> PlaneFit:
-    """Fit planes around queries by weighted least squares, as `local_gradients`, with weights (1 - (r/R)^2)^2.
+    """Fit planes around query positions by weighted least squares, in the portable form of `local_gradients`.
 
-    The moments of all fits are the product of the weights with the monomials of x and u.
+    The weights are (1 - (r/R)^2)^2 at a distance r within the radius R. The moments of all fits are the product of the
+    weights with the monomials of x and u.
 
     Args:
         places: (1 or B, 2, N) positions in radii from an origin among them; precision falls with the square of the
@@ -130,7 +131,7 @@ def fit_planes(
 
 
 def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
-    """Return the covariance (B, Q, 2, 2, 2, 2) of the gradients of fitted planes, as in `LocalFit`.
+    """Return the covariance (B, Q, 2, 2, 2, 2) of the gradients of fitted planes, in the layout of `LocalFit`.
 
     `covariance` (B, 3, N) is that of the points: uu, uv, vv, 0 where not usable. The sandwich A^-1 (sum w^2 s d d')
     A^-1 is exact for this linear estimator and independent errors.
@@ -152,17 +153,17 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """Return the products aa, ab, bb (B, 3, N) of the components a, b of pairs (B, 2, N)."""
+    """Return the second-order products aa, ab and bb (B, 3, N) of pairs of components (a, b), which are (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 
 def _mixed(components: Tensor, pair: Tensor) -> Tensor:
-    """Return products (B, 2 C, N) of components a, b, ... (B, C, N) with pairs c, d (1 or B, 2, N): ac, ad, bc, ..."""
+    """Return the mixed products (B, 2 C, N) of components (B, C, N) with both elements of pairs (1 or B, 2, N)."""
     return (components[:, :, None] * pair[:, None]).flatten(1, 2)
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Multiply rows (B, K, N) with a matrix of weights (1 or B, Q, N), summing over N points: (B, K, Q).
+    """Return the matrix product (B, K, Q) of rows (B, K, N) and weights (1 or B, Q, N), a sum over N points.
 
     One matrix for all frames is not copied for each of them. In an exported graph the matrix is the first factor: this
     takes ONNX runtimes half the time for few rows, but torch twice the time.

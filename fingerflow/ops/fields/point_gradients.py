@@ -13,7 +13,8 @@ from fingerflow.ops.tensors import finite, sum_rows
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
 ) -> tuple[Tensor, Tensor | None]:
-    """Return displacement gradients (B, N, 2, 2) at the points and their covariance, as `local_gradients` fits them.
+    """Return displacement gradients (B, N, 2, 2) fitted around the points as by `local_gradients`, and their
+    covariance.
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
@@ -63,7 +64,7 @@ def _gradients(
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
-    """Return the `Support` with which `neighbour_planes` fits any values at these reference positions.
+    """Return the weights (`Support`) of the points in the fits of `neighbour_planes`, which depend only on positions.
 
     `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """
@@ -95,7 +96,7 @@ def neighbour_planes(
 
 
 def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
-    """Return gradients (B, Q, C, 2) at queries (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
+    """Return gradients (B, Q, C, 2) at query positions (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
 
     Gradients are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed
     cost, which is exported. `gauge_length` (1,) is in the unit of the points.

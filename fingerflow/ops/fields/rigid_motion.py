@@ -1,4 +1,4 @@
-"""Residual displacement after subtraction of the rigid motion of the finger: the usual measure of incipient slip."""
+"""Residual displacement after subtraction of the rigid motion of the finger: a measure of incipient slip."""
 
 import torch
 from torch import Tensor
@@ -8,7 +8,7 @@ from fingerflow.ops.tensors import finite
 
 
 def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Return the displacement (B, N, 2) minus the best rigid motion of the points in each frame.
+    """Return the displacement (B, N, 2) minus the rigid motion that best fits the points of each frame.
 
     The motion, one rotation and one translation, minimises the weighted sum of squared residuals (Procrustes, closed
     form in the plane). A point with a non-finite position or displacement is ignored in the fit and has a residual of
@@ -63,5 +63,5 @@ def _centred(values: Tensor, mass: Tensor) -> Tensor:
 
 
 def _sum(values: Tensor) -> Tensor:
-    """Return the sums (B, 1) over the points of values (B, N)."""
+    """Return the sums (B, 1) of values (B, N) over N points."""
     return values.sum(1, keepdim=True)

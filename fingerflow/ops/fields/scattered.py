@@ -5,7 +5,8 @@ from torch import Tensor
 
 
 def check_scattered(points: Tensor, values: Tensor) -> None:
-    """Raise TypeError or ValueError unless points are (B, N, 2) and values (B, N, C), floating, with the same N.
+    """Raise TypeError or ValueError unless points (B, N, 2) and values (B, N, C) are floating point and equal in
+    number.
 
     Either batch may be 1 and then serves all items of the other: reference positions are often the same for all frames.
     """
@@ -20,7 +21,7 @@ def check_scattered(points: Tensor, values: Tensor) -> None:
 
 
 def check_batches(**tensors: Tensor) -> None:
-    """Raise ValueError unless the first dimensions of all tensors are equal, or 1."""
+    """Raise ValueError unless the batch sizes (first dimensions) of all tensors are equal or 1."""
     sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
     if len(set(sizes.values()) - {1}) > 1:
         found = ", ".join(f"{name} {size}" for name, size in sizes.items())
@@ -28,7 +29,7 @@ def check_batches(**tensors: Tensor) -> None:
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:
-    """Return the widest dtype of the tensors, but at least float32.
+    """Return the dtype for computations with tensors: the widest of the tensors' dtypes, but at least float32.
 
     Differences of half-precision positions would lose the strain.
     """
@@ -36,7 +37,7 @@ def working_dtype(*tensors: Tensor) -> torch.dtype:
 
 
 def result_dtype(*tensors: Tensor) -> torch.dtype:
-    """Return the widest dtype of the tensors."""
+    """Return the dtype of a result: the widest of the tensors' dtypes."""
     widest = tensors[0].dtype
     for tensor in tensors[1:]:
         widest = torch.promote_types(widest, tensor.dtype)

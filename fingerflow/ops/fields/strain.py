@@ -21,7 +21,7 @@ def divergence(gradient: Tensor) -> Tensor:
 
 
 def curl(gradient: Tensor) -> Tensor:
-    """Return the curl dv/dx - du/dy (...), in rad: twice the small rotation, positive from x towards y."""
+    """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y."""
     _, uy, vx, _ = _parts(gradient)
     return vx - uy
 
@@ -37,7 +37,7 @@ def shear(gradient: Tensor) -> Tensor:
 
 
 def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the strain (..., 3), exx, eyy, exy, of a displacement gradient (..., 2, 2) in reference coordinates.
+    """Return the strain (exx, eyy, exy) of a displacement gradient (..., 2, 2), by default the Green-Lagrange strain.
 
     The lab's published script has dv/dx instead of dv/dy in eyy; here it is dv/dy. `measure` is one of
     - "green_lagrange": (F'F - I) / 2 with F = I + gradient; zero for every rotation.
@@ -52,7 +52,7 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
 
 
 def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Return exx, eyy and exy of `green_lagrange` from du/dx, du/dy, dv/dx and dv/dy, all as separate tensors."""
+    """Return the strain components exx, eyy and exy as separate tensors, given du/dx, du/dy, dv/dx and dv/dy."""
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     exx, eyy, exy = ux, vy, (uy + vx) / 2
@@ -65,14 +65,14 @@ def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -
 
 
 class PrincipalStrains(NamedTuple):
-    """Largest and smallest normal strain over all directions."""
+    """Principal strains: the largest and the smallest normal strain over all directions."""
 
     strains: Tensor  # (..., 2), the major and the minor one
     angle: Tensor  # (...), rad in [-pi/2, pi/2], from the x axis to the major direction; NaN where the two are equal
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Return the major and minor principal strain of (exx, eyy, exy) (..., 3), and the direction of the major one.
+    """Return the two principal strains of a strain (exx, eyy, exy) (..., 3), and the direction of the major one.
 
     Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
     autograd gives both the gradient of their mean.
@@ -112,7 +112,7 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
 def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the stresses sxx, syy and sxy, MPa, from strains exx, eyy and exy, as in `strain_energy_density`."""
+    """Return the stress components sxx, syy and sxy, MPa, of an isotropic linear solid in plane strain."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
 
@@ -120,7 +120,7 @@ def stress_parts(
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """Return the energy density, mJ/mm^3, from the products exx^2, eyy^2, exy^2 and exx eyy, or from their means."""
+    """Return the strain energy density, mJ/mm^3, from the squares and products of strains, or from their means."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 

@@ -39,7 +39,7 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
 
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
-    """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, propagated to first order."""
+    """Return the standard deviations (..., 5) of divergence, curl, exx, eyy and exy, by first-order propagation."""
     (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
     sensitivity = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
     rows, columns = sensitivity[..., :, :, None, None], sensitivity[..., None, None, :, :]
@@ -64,5 +64,5 @@ def strain_covariance_parts(
 
 
 def _root(variance: Tensor) -> Tensor:
-    """Return standard deviations from variances; variances that rounding made negative count as 0."""
+    """Return the square roots of variances; variances that rounding made negative count as 0."""
     return variance.clamp(min=0).sqrt()

@@ -1,4 +1,4 @@
-"""Strain of triangles in many frames, strain energy of the triangles in contact, and standard deviations of both."""
+"""Strain of triangles between tracked points, and strain energy of the triangles in contact."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class SharedErrors(NamedTuple):
 
 
 class TriangleStrain(NamedTuple):
-    """Strain and energy of M triangles in B frames; NaN where not known."""
+    """Strain of M triangles in B frames, and strain energy of each frame; NaN where unknown."""
 
     strain: Tensor  # (B, M, 3) as (exx, eyy, exy)
     strain_std: Tensor  # (B, M, 3)
@@ -41,7 +41,7 @@ def triangle_strain(
     young_modulus_mpa: float = 1.0,
     poisson_ratio: float = 0.4,
 ) -> TriangleStrain:
-    """Compute the strain of triangles, and its energy density integrated over the triangles in contact.
+    """Compute the strain of triangles, and the strain energy density integrated over the triangles in contact.
 
     The gradients are those of `triangle_gradients`. Frames share triangles and slopes. In the portable form they are
     the last axis and each quantity of a point or triangle is a row, so that a corner is fetched for all frames at once.
@@ -90,7 +90,7 @@ def triangle_strain(
         return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
 
     def at_points(corner_values: Tensor) -> Tensor:
-        """Sum contributions (3, M, B) of triangle corners over the corners at each point, to (N, B)."""
+        """Return, for each point, the sum (N, B) of contributions (3, M, B) of the triangle corners at the point."""
         sums = corner_values.new_zeros(displacement.shape[1], len(displacement))
         return sums.index_add_(0, corners, corner_values.flatten(0, 1))
 
@@ -144,7 +144,7 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
 
 
 def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Return the area (B, M) with which each triangle counts in an integral over the triangles in contact.
+    """Return the area (B, M) that each triangle contributes to an integral over the triangles in contact.
 
     Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
     half of the area, or where no triangle is in contact.
@@ -156,6 +156,6 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
 
 
 def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return, for each corner, the sum (M, 3, 2) of the other two corners' slopes times their error correlations."""
+    """Return, for each corner, the sum (M, 3, 2) of the slopes of both corners beside it times error correlations."""
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

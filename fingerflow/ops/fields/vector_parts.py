@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class Parts(NamedTuple):
-    """Helmholtz-Hodge parts of a vector field, (B, 2, H, W) each; their sum is the field; NaN outside the mask.
+    """The three Helmholtz-Hodge parts (B, 2, H, W) of a vector field, whose sum is the field; NaN outside the mask.
 
     Attributes:
         irrotational: without curl: the flow due to the divergence inside the mask.
@@ -22,7 +22,7 @@ class Parts(NamedTuple):
 
 
 def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
-    """Compute the natural Helmholtz-Hodge decomposition of vector fields.
+    """Compute the natural Helmholtz-Hodge decomposition (without boundary conditions) of vector fields.
 
     Source: Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014. No boundary condition is imposed: with the Green function
     of the whole plane, G = log|x| / 2 pi,
@@ -88,7 +88,7 @@ def _has_neighbour(inside: Tensor, dim: int) -> Tensor:
 
 
 def _moved(values: Tensor, dim: int, step: int) -> Tensor:
-    """Shift values so that a pixel holds its neighbour `step` pixels further along a dimension; 0 beyond the frame."""
+    """Shift values so that each pixel holds the value `step` pixels further along a dimension; 0 beyond the frame."""
     size = values.shape[dim]
     edge = torch.zeros_like(values.narrow(dim, 0, 1))
     if step > 0:
@@ -97,7 +97,8 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the integrals of both components of grad G over a pixel, for each distance between pixels.
+    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over a pixel at each
+    offset.
 
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.

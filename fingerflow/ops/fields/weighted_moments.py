@@ -1,4 +1,4 @@
-"""Weighted sums over the scattered points around each query, from which a local fit is solved."""
+"""Weighted sums over the scattered points around each query position, from which a local fit is computed."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ _CHUNK_ELEMENTS = 2**18
 
 
 class WeightedMoments(NamedTuple):
-    """Weighted sums around each query over the usable points.
+    """Weighted sums (moments) over the usable points around each query position.
 
     Here d = point - query, and the weight is w = (1 - (|d| / R)^2)^2 within the radius R, 0 beyond; v and s are the
     values and the noise of the points.
@@ -27,7 +27,8 @@ class WeightedMoments(NamedTuple):
 def weighted_moments(
     points: Tensor, queries: Tensor, usable: Tensor, values: Tensor, noise: Tensor | None, radius: float
 ) -> WeightedMoments:
-    """Compute the weighted sums around each query of positions, values v (B, N, C) and noise variances s (B, N, V).
+    """Compute weighted sums of positions, values v (B, N, C) and noise variances s (B, N, V) around each query
+    position.
 
     Points that are not `usable` (B, N) do not count. Points (B, N, 2) and queries (B, Q, 2) must be finite, and values
     and noise 0 where a point is not usable; batches may be 1. Queries are processed in pieces of bounded size.
@@ -77,7 +78,7 @@ def weighted_moments(
 
 
 class _Columns:
-    """Point data (B, N, F), arranged so that one product with weights (G, Q, N) sums them over the points.
+    """Point data (B, N, F) as matrix columns, so that a product with weights (G, Q, N) sums the data over N points.
 
     If one geometry serves all frames (G = 1), the frames are concatenated as columns of one matrix product.
     """

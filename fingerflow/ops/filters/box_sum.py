@@ -1,23 +1,23 @@
-"""Sums over square windows by doubling: only additions, so that a NaN affects only the windows that contain it."""
+"""Sums over square windows, by additions only, so that a NaN affects only the windows that contain it."""
 
 from torch import Tensor
 
 
 def box_sum(values: Tensor, size: int) -> Tensor:
-    """Compute the sum of every `size` x `size` window: at most 4 log2(size) passes, in the dtype of `values`.
+    """Compute the sum over every `size` x `size` window of `values`, in at most 4 log2(size) passes.
 
     Args:
         values: (..., H, W), H and W at least `size`.
         size: window side in pixels, odd or even.
 
     Returns:
-        (..., H - size + 1, W - size + 1).
+        (..., H - size + 1, W - size + 1), in the dtype of `values`.
     """
     return _line_sum(_line_sum(values, size, -2), size, -1)
 
 
 def _line_sum(values: Tensor, size: int, axis: int) -> Tensor:
-    """Sum windows of `size` neighbours along an axis, from sums of 1, 2, 4 ... neighbours (binary digits of `size`)."""
+    """Sum windows of `size` neighbours along one axis, from sums over powers of two (the binary digits of `size`)."""
     length = values.shape[axis] - size + 1
     total, start, span = None, 0, 1
     while True:

@@ -7,7 +7,7 @@ from fingerflow.ops.checks import check_pixels
 
 
 def halved_image(images: Tensor) -> Tensor:
-    """Halve the resolution of images (B, 1, H, W) of at least 3 x 3 px by means of 2 x 2 px.
+    """Halve the resolution of images (B, 1, H, W) by averaging blocks of 2 x 2 px; sides are at least 3 px.
 
     This is several times as fast as torch's pooling.
 

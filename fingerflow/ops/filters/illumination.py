@@ -16,7 +16,7 @@ LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
 
 class NormalizedFrames(NamedTuple):
-    """Frames divided by the light of the empty glass, and a mask of the pixels for which this quotient is known.
+    """Frames divided by the light of the empty glass, and a mask of the pixels where the quotient is known.
 
     `frames` (B, 1, H, W) is the light relative to that of the empty glass; `valid` (B, 1, H, W) bool is True where this
     quotient is known.
@@ -29,7 +29,7 @@ class NormalizedFrames(NamedTuple):
 def normalize_illumination(
     frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = LEAST_LIGHT
 ) -> NormalizedFrames:
-    """Normalise frames by the empty glass: (frames - dark) / (reference - dark) where the reference is lit.
+    """Divide frames by the light of the empty glass: (frames - dark) / (reference - dark), where the reference is lit.
 
     Outside the lit disc the quotient is noise divided by noise. A pixel is masked (valid False, quotient exactly 1 as
     for empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile or not positive,
@@ -99,7 +99,7 @@ def glass_light(
 
 
 def _full_light(light: Tensor) -> Tensor:
-    """Return the full light (B,) of images of light (B, 1, H, W): a high quantile of their pixels."""
+    """Return the full light (B,) of images (B, 1, H, W): a high quantile of the light of all pixels."""
     step = max(1, min(light.shape[-2:]) // PIXELS_OF_LIGHT)
     return frame_quantile(light.detach()[..., ::step, ::step], FULL_LIGHT).to(light.dtype)
 
@@ -109,9 +109,9 @@ def _exceeds(light: Tensor, least: Tensor) -> Tensor:
 
 
 def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:
-    """Compute the relative intensity loss per pixel: 1 - quotient, or the loss since a first instant of contact.
+    """Compute the contact signal: the relative intensity loss per pixel since the empty glass, or since first contact.
 
-    The second form is first quotient - quotient. Contact is bright.
+    It is 1 - quotient, or first quotient - quotient. Contact is bright.
 
     Args:
         normalized: quotients (B, 1, H, W) of `normalize_illumination`.
@@ -126,7 +126,7 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
 
 
 def quantize(signal: Tensor) -> Tensor:
-    """Quantise the contact signal to one byte: level = round(204 (signal + 0.25)), saturating.
+    """Quantise the contact signal to one byte: level = round(204 (signal + 0.25)), clipped to 0 to 255.
 
     One level is 0.0049, below the noise of one 8-bit camera pixel. The median and Otsu's threshold are computed from
     levels.
@@ -142,7 +142,7 @@ def quantize(signal: Tensor) -> Tensor:
 
 
 def dequantize(levels: Tensor) -> Tensor:
-    """Convert quantised levels back to the contact signal, for example a threshold; the inverse of `quantize`.
+    """Convert quantised levels, such as a threshold, back to the contact signal; the inverse of `quantize`.
 
     Args:
         levels: any shape, uint8 or floating; NaN stays NaN.

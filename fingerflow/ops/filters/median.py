@@ -30,7 +30,7 @@ _DTYPES = (
 
 
 def median_filter(frames: Tensor, size: int = 9) -> Tensor:
-    """Return the median of the `size` x `size` window around each pixel, by the network of `kernels.median_network`.
+    """Return the median of the `size` x `size` window around each pixel, computed by a network of minima and maxima.
 
     Args:
         frames: (B, 1, H, W), 8 to 64 bit signed integers, uint8, uint16 or floating. A frame may be smaller than the
@@ -76,7 +76,7 @@ def _planned(size: int) -> Any:
 
 
 def plain(program: Any) -> Any:
-    """Convert a median program to plain tuples, the only form that the torch compiler accepts as a constant.
+    """Convert a median program to plain tuples, which the torch compiler accepts as a constant.
 
     The compiler must not trace the making of a program.
     """
@@ -89,7 +89,7 @@ def _alike(frames: Tensor, size: int) -> Tensor:
 
 @torch_op(shapes=_alike)
 def large_median(frames: Tensor, size: int) -> Tensor:
-    """Compute `median_filter` as an opaque torch op.
+    """Compute the median filter with a large window as an opaque torch op.
 
     The compiler would need minutes to trace thousands of minima and maxima.
     """
@@ -97,9 +97,10 @@ def large_median(frames: Tensor, size: int) -> Tensor:
 
 
 def _of_rows(frames: Tensor, size: int) -> Tensor:
-    """Compute the median as `_run` does, but with tiles of one column, for exported graphs.
+    """Compute the median filter on whole rows of pixels, the form for exported graphs.
 
-    A plane then holds whole rows, which an unfused runtime copies in one piece.
+    The tiles of `_run` have one column here. A plane then holds whole rows, which an unfused runtime copies in one
+    piece.
     """
     program = _rows_program(size)
     batch, _, height, width = frames.shape
@@ -125,7 +126,7 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Compute the median of every window by a program of minima and maxima on flat planes, one per pixel of a tile.
+    """Run a median program: minima and maxima of flat planes, each of which holds one pixel of every tile of the frame.
 
     Each step is one pass over contiguous memory.
     """
@@ -155,7 +156,7 @@ def run_network(
     *,
     views: bool = True,
 ) -> list[Tensor]:
-    """Execute a program of minima and maxima (`MedianProgram` or `join_program`) and return its output planes.
+    """Execute a program of minima and maxima on flat planes, and return the output planes.
 
     Args:
         steps, outputs: of the program.
@@ -195,5 +196,5 @@ def run_network(
 
 
 def _ahead(plane: Tensor, offset: int, lack: int) -> Tensor:
-    """Return a flat plane shifted forward by `offset` elements and lengthened by `lack` zeros at its end."""
+    """Drop the first `offset` elements of a flat plane, and append `offset` + `lack` zeros at the end."""
     return functional.pad(plane, (-offset, offset + lack)) if offset or lack else plane

@@ -55,7 +55,7 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
-    """Check the arguments of `dilate`; return the half width of each row of the shape, from -radius to radius."""
+    """Return the half width of each row of a disc or diamond, from -radius to radius; also check the arguments."""
     check_mask(mask)
     if radius < 0:
         raise ValueError(f"radius is {radius} px: give 0 or more")
@@ -68,7 +68,7 @@ def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
 
 
 def _widen(mask: Tensor, by: int) -> Tensor:
-    """Widen each horizontal run of a mask by `by` pixels to both sides; each pass about doubles the reach."""
+    """Widen each horizontal run of True pixels in a mask by `by` pixels at both ends."""
     covered = 0
     while covered < by:
         step = min(covered + 1, by - covered)

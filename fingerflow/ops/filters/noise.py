@@ -11,7 +11,7 @@ from fingerflow.ops.checks import check_pixels
 
 
 def rounding_variance(images: Tensor) -> float:
-    """Return the variance due to rounding to whole grey levels: 1/12 for integer images, 0 for floating ones."""
+    """Return the variance that rounding to whole grey levels causes: 1/12 for integer images, 0 for floating ones."""
     return 0.0 if images.is_floating_point() else ROUNDING
 
 

@@ -1,4 +1,4 @@
-"""Quantiles of whole frames by counting, without sorting: on any device, exact for uint8, exportable."""
+"""Quantiles of whole frames, computed by counting pixels instead of sorting them."""
 
 import torch
 from torch import Tensor
@@ -37,7 +37,7 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
 
 
 def median_of_counts(counts: Tensor) -> Tensor:
-    """Compute the median (B,) of rounded values from their histogram (B, bins), whose first bin has the value 0.
+    """Compute the median (B,) of rounded values from a histogram of counts (B, bins), whose first bin has the value 0.
 
     Values are assumed to be spread evenly over the unit around each integer, so the median is not quantised. NaN for an
     empty histogram; float64, or the dtype of floating counts.

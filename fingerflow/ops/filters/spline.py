@@ -1,4 +1,4 @@
-"""Interpolant for tracking: uniform B-splines of order 1 or 3 on binomially smoothed samples.
+"""Spline interpolation of images: uniform B-splines of order 1 or 3 on binomially smoothed samples.
 
 An image is represented as S(x, y) = sum_kl c[l, k] b(x - k) b(y - l), b the centred B-spline. The coefficients c are
 the samples smoothed once by [1 2 1]/4 in x and y. There is no inverse filter, so S is the image after one fixed
@@ -20,7 +20,7 @@ from fingerflow.kernels import tensors as kernels
 
 
 def spline_coefficients(images: Tensor) -> Tensor:
-    """Compute the spline coefficients of images; they serve both spline orders.
+    """Compute the B-spline coefficients of images, which are equal for the spline orders 1 and 3.
 
     Args:
         images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the nearest pixel counts.

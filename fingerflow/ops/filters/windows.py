@@ -40,7 +40,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
 def sample_windows(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate the spline and its gradient on a window around each point.
+    """Evaluate the spline of an image, and the gradient of the spline, on a window around each point.
 
     Args:
         coefficients: (B, 1, H, W) from :func:`~fingerflow.ops.filters.spline.spline_coefficients`.
@@ -68,7 +68,7 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """Compute ``size`` weighted sums of neighbours along ``dim`` of patches, with weights (P, taps) of each point."""
+    """Convolve the patch of each point along `dim` with the weights (P, taps) of that point, to ``size`` samples."""
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):
@@ -79,7 +79,7 @@ def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
 def _sample_warped(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate the spline and its gradient on warped windows, with separate spline weights for every sample.
+    """Evaluate a spline and the spline's gradient on warped windows, with separate spline weights for every sample.
 
     The positions of the samples of a warped window have no common fraction.
     """
@@ -140,7 +140,7 @@ def _sample_piece(
 
 
 def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
-    """Copy runs of ``length`` pixels from images: (..., length), given the flat indices of their ``first`` pixels.
+    """Copy runs of ``length`` consecutive pixels from images, starting at the flat pixel indices ``first`` (...).
 
     Whole lines are copied ten times as fast as single pixels are gathered.
     """
@@ -151,7 +151,7 @@ def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """Return the elements of a flat tensor (M,) at ``index`` + ``later``, in the shape (P, ...) of ``index``."""
+    """Gather the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
     if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
     # A shifted view needs no new index; `take` and indexing need four times as long.

@@ -1,4 +1,4 @@
-"""Dense optical flow: displacement of every pixel of the skin between two images, by combined local and global flow.
+"""Dense optical flow: the displacement of every pixel of the skin between two images (combined local-global method).
 
 It minimises, over the pixels x of a mask,
 
@@ -80,7 +80,7 @@ class Flow(NamedTuple):
 
 
 class FlowTemplate(NamedTuple):
-    """Data of a first image (B, 1, H, W) from which the flow to any later image is computed; from `prepare_flow`."""
+    """Precomputed data of a first image (B, 1, H, W), from which `find_flow` computes the flow to any later image."""
 
     value: Tensor  # (C B, 1, H, W) splines of the constant quantities, at the pixels
     gradient: Tensor  # (C B, 2, H, W), 0 outside the mask
@@ -159,7 +159,7 @@ def whole_flow(
     robust: bool,
     of_gradient: bool,
 ) -> Flow:
-    """Compute `dense_flow` as one opaque torch op; a compiler cannot trace a data-dependent number of halved images."""
+    """Compute `dense_flow` as one opaque torch op, because the number of halved images depends on the data."""
     constant: Constancy = "gradient" if of_gradient else "brightness"
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise, constancy=constant)
     return find_flow(template, current, initial, warps, "charbonnier" if robust else "quadratic")
@@ -174,7 +174,7 @@ def prepare_flow(
     noise: Tensor | None = None,
     constancy: Constancy = "brightness",
 ) -> FlowTemplate:
-    """Compute the data of a first image that `find_flow` needs; arguments as for `dense_flow`."""
+    """Precompute the data of a first image that `find_flow` needs; the arguments are those of `dense_flow`."""
     _check_image("first", first, first)
     if mask is not None and (mask.shape != first.shape or mask.dtype != torch.bool):
         raise ValueError(f"mask must be bool {tuple(first.shape)}, not {mask.dtype} {tuple(mask.shape)}")
@@ -193,9 +193,9 @@ def prepare_flow(
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
-    """Compute the flow template of a floating-point image, and of its halved images while texture exceeds the noise.
+    """Compute the flow template of an image, and of successively halved images while texture exceeds the noise.
 
-    The covariance is left None.
+    The image is floating point. The covariance is left None.
     """
     given = channels(spline_coefficients(first), constancy)
     count = len(given) // len(first)
@@ -223,7 +223,7 @@ def _prepared(
 
 
 def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
-    """Return the covariance of the flow, xx, xy, yy (B, 3, h, w), on the cells of the finest level, at a gain of 1."""
+    """Return the covariance xx, xy, yy (B, 3, h, w) of the flow on the finest cells, for an illumination gain of 1."""
     alpha = _smoothing(template.variance, template.roughness)
     if finest is not template.levels[0]:
         alpha = alpha * mean_edge_weight(finest, template.levels[0])
@@ -232,7 +232,7 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the minimum (B, ...) over the `count` channels that are stacked in the batch axis (C B, ...)."""
+    """Return the minimum (B, ...) over `count` channels, which are stacked in the batch axis (C B, ...)."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -241,7 +241,7 @@ def _sum(fields: Tensor, count: int) -> Tensor:
 
 
 def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
-    """Return the eigenvalue (B,) that white noise alone gives the structure tensor J."""
+    """Return the eigenvalue (B,) of the structure tensor J that white noise alone causes."""
     return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
@@ -251,9 +251,9 @@ def _smoothing(variance: Tensor, roughness: float) -> Tensor:
 
 
 def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
-    """Compute the spline, slopes and structure tensor of a first image, before integration over windows.
+    """Compute the fields of a first image that dense flow needs: spline values, slopes, and structure tensor per cell.
 
-    `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
+    The tensor is not yet integrated over windows. `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
     """
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
         return kernels.flow_template(coefficients, mask, _MARGIN)
@@ -277,7 +277,7 @@ def find_flow(
     warps: int = 2,
     penalty: Penalty = "quadratic",
 ) -> Flow:
-    """Compute the flow from a prepared first image to a current image; arguments as for `dense_flow`."""
+    """Compute the flow from a prepared first image to a current image; the arguments are those of `dense_flow`."""
     _check_image("current", current, template.inside)
     _check_choice("penalty", penalty, Penalty)
     if warps < 1:
@@ -298,7 +298,7 @@ def find_flow(
 
 
 def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covariance: Tensor) -> Flow:
-    """Interpolate flow, covariance and residual from cells to pixels.
+    """Interpolate the flow, the covariance and the residual from cells to the pixels of the first image.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
@@ -319,7 +319,7 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Estimate the flow on cells, px, from the halved images, for a cold start; 0 if there are none."""
+    """Estimate the flow without an initial value, from halved images; the flow is 0 if there are no halved images."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
@@ -334,7 +334,7 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
 ) -> tuple[Tensor, Left[Tensor], Level]:
-    """Compute the flow on cells by `warps` warps from a given flow.
+    """Refine a flow on cells by `warps` rounds of warping the current image and solving for the flow.
 
     Also return the residual before the last warp, and the finest multigrid level that was solved.
     """
@@ -354,7 +354,8 @@ def _refined(
 
 
 def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
-    """Compute the residual of a flow on cells: what displacement and illumination leave of the image difference.
+    """Compute the residual of a flow on cells: what is left of the image difference after displacement and
+    illumination.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
@@ -376,7 +377,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """Compute the residual of a flow for each channel separately.
+    """Compute the residual of a flow, what is left of the image difference, for each channel separately.
 
     As for `_left`, but the products with the slopes are not divided by the gain.
     """
@@ -403,7 +404,7 @@ def _slopes(coefficients: Tensor) -> Tensor:
 
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
-    """Evaluate the spline (B, 1, H, W) at displaced pixels; beyond the border its coefficients are replicated."""
+    """Evaluate the spline of an image at displaced pixels; beyond the border the coefficients are replicated."""
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
     (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
@@ -422,7 +423,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of a mask whose displaced position lies at least `margin` px inside the frame, else 0."""
+    """Return 1 for pixels of a mask that the flow moves to at least `margin` px inside the frame, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
@@ -431,7 +432,7 @@ def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
 
 
 def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Fit illumination gain and offset (B, 1, 1, 1) of the warped image relative to the first, over seen pixels.
+    """Fit the illumination gain and offset (B, 1, 1, 1) of the warped image relative to the first, over visible pixels.
 
     The fit is by least squares.
     """

@@ -1,4 +1,4 @@
-"""Cells of dense flow, 2 x 2 px each, and conversions of fields between pixels and cells.
+"""Conversion of dense-flow fields between pixels and cells of 2 x 2 px, and computations on cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
@@ -24,7 +24,7 @@ _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """Planes u = height + x slope_x + y slope_y of the two components of a flow, (B, 2, ., .) each."""
+    """Planes height + x slope_x + y slope_y fitted to the two components of a flow, (B, 2, ., .) each."""
 
     height: Tensor
     slope_x: Tensor
@@ -35,7 +35,7 @@ class Planes(NamedTuple):
 
 
 def halved(fields: Tensor) -> Tensor:
-    """Return the means of fields over blocks of 2 x 2 cells, (B, C, ceil(h / 2), ceil(w / 2)).
+    """Halve fields by averaging blocks of 2 x 2 cells: return (B, C, ceil(h / 2), ceil(w / 2)).
 
     Values beyond the border count as 0.
     """
@@ -49,10 +49,10 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate known cells bilinearly to cells of half the size: (B, C, h, w) to (B, C, height, width).
+    """Spread values from cells to cells of half the size (or pixels), by bilinear interpolation of known cells.
 
-    `known` is 1 or 0. The four nearest have the weights 9/16, 3/16, 3/16 and 1/16. The result is 0 where none of them
-    is known.
+    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest have the weights 9/16, 3/16,
+    3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -60,7 +60,7 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Return the means over cells (B, 2, h, w) of the pixels (B, 2, H, W) of a mask.
+    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px: return (B, 2, h, w).
 
     The mask `inside` (B, 1, H, W) is 1 or 0. Non-finite values count as 0; a cell without a pixel inside is 0.
     """
@@ -68,7 +68,7 @@ def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
 
 
 def _sums(fields: Tensor) -> Tensor:
-    """Return the sums of fields over blocks of 2 x 2; beyond the border fields are 0.
+    """Return the sums of fields over blocks of 2 x 2 elements; beyond the border fields are 0.
 
     Strided slices take a third of the time of `avg_pool2d` on one core.
     """
@@ -79,7 +79,7 @@ def _sums(fields: Tensor) -> Tensor:
 
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate a flow from cells (B, 2, h, w) to pixels (B, 2, height, width).
+    """Interpolate a flow (B, 2, h, w) from cells to pixels: return (B, 2, height, width).
 
     `known` (B, 1, h, w) is 1 for known cells, else 0.
     """
@@ -105,7 +105,7 @@ def places(cells: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Return the coordinates x (width) and y (height, 1) of the pixels of a field, in cells from its centre."""
+    """Return the coordinates x (width) and y (height, 1) of the pixels of a field, in cells from the field's centre."""
     x, y = (
         (torch.arange(count, dtype=cells.dtype, device=cells.device) - 0.5) / CELL - (number - 1) / 2
         for count, number in ((width, cells.shape[-1]), (height, cells.shape[-2]))
@@ -123,7 +123,7 @@ def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def planes(moments: Tensor) -> Planes:
-    """Fit planes by least squares from their `moments`.
+    """Fit planes to a field by least squares, given the `moments` of the field.
 
     A plane is the mean where cells do not span it, and 0 where there are no cells.
     """
@@ -150,14 +150,14 @@ def window(side: float) -> list[float]:
 
 
 def window_variance(weights: list[float]) -> float:
-    """Return the variance, px^2, of a window of weights along one axis, including the extent of its cells."""
+    """Return the variance, px^2, of a window of weights along one axis, including the extent of a cell."""
     half = len(weights) // 2
     spread_out = sum(weight * (k - half) ** 2 for k, weight in enumerate(weights))
     return CELL**2 * spread_out + (CELL**2 - 1) / 12
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Return weighted means of fields (B, C, h, w) over a window: the weights along rows, then along columns.
+    """Integrate fields (B, C, h, w) over a window: return means with the weights applied along x and along y.
 
     Values beyond the border count as 0.
     """
@@ -177,7 +177,7 @@ COURSE_WINDOW = window(9)  # cells of 4 px
 
 
 def course(flow: Tensor, known: Tensor) -> Tensor:
-    """Return the trend (B, 2, h, w) of a flow on cells, the smooth part that the smoothness term does not penalise.
+    """Return the trend (B, 2, h, w) of a flow on cells: the smooth part that the smoothness term does not penalise.
 
     `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
     to the remainder around every position, in two successive boxes of 36 px.

@@ -24,7 +24,7 @@ NOISE_OF_TENSOR = {"brightness": 1.0, "gradient": 5.9}
 
 
 def channels(coefficients: Tensor, constancy: Constancy) -> Tensor:
-    """Return the spline coefficients (C B, 1, H, W) of the C quantities that are assumed constant, channel by channel.
+    """Return the channels of dense flow: spline coefficients (C B, 1, H, W) of the C quantities assumed constant.
 
     These are the grey level, or the two components of its gradient. For the gradient they are central differences of
     the coefficients of the images (B, 1, H, W), which are the coefficients of the differences of their splines.

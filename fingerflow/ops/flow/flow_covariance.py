@@ -13,7 +13,7 @@ _TINY = 1e-12
 
 
 def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float, of_noise: Tensor) -> Tensor:
-    """Return the covariance of the flow, xx, xy, yy (B, 3, h, w), due to the noise of both images, at a gain of 1.
+    """Return the covariance xx, xy, yy (B, 3, h, w) of the flow due to image noise, for an illumination gain of 1.
 
     It assumes that J changes little over the smoothing length. A component along which J is l has the variance of noise
     of density s^2 filtered by l K(k) / (l + alpha k^2). With the two boxes approximated by a Gaussian of variance rho^2
@@ -53,9 +53,10 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
 
 def _passed(z: Tensor) -> Tensor:
-    """Return 1 - z e^z E1(z) for z > 0, E1 the exponential integral.
+    """Return 1 - z e^z E1(z) with the exponential integral E1: the relative noise variance that has passed the
+    smoothing.
 
-    It is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
+    The argument z is positive. It is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
     """
     small = z.clamp_max(1.0)
     series = 0.99999193 + small * (-0.24991055 + small * (0.05519968 + small * (-0.00976004 + small * 0.00107857)))

@@ -1,11 +1,11 @@
-"""Multigrid solver of dense flow, (J + alpha L) d = r: two unknowns per cell, coupled by 2 x 2 tensors J.
+"""Multigrid solver of the linear system (J + alpha L) d = r of dense flow, with two unknowns per cell.
 
-L is the graph Laplacian of the cells of a mask, which makes the border condition natural: no flux across it. Coarser
-levels represent 2 x 2 cells each: J and r are means over them. An edge between two coarse cells has a fourth of the
-mean weight of the two fine edges across their common side. This equals the action of the fine operator on a field that
-is constant on coarse cells and differs between them as a plane does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image
-Processing 14(5), 2005, restrict the tensors too). The smoother is damped 2 x 2 block Jacobi, whose result does not
-depend on the order of cells.
+The unknowns of a cell are coupled by a 2 x 2 tensor J. L is the graph Laplacian of the cells of a mask, which makes the
+border condition natural: no flux across it. Coarser levels represent 2 x 2 cells each: J and r are means over them. An
+edge between two coarse cells has a fourth of the mean weight of the two fine edges across their common side. This
+equals the action of the fine operator on a field that is constant on coarse cells and differs between them as a plane
+does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image Processing 14(5), 2005, restrict the tensors too). The smoother is
+damped 2 x 2 block Jacobi, whose result does not depend on the order of cells.
 
 Every step is a stencil of fixed cost. One V-cycle leaves 1 to 10 % of the residual on skin.
 
@@ -34,7 +34,7 @@ SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
 
 
 class Level(NamedTuple):
-    """Operator J + alpha L of one multigrid level, on cells (B, ., h, w)."""
+    """One level of the multigrid: the operator J + alpha L on cells (B, ., h, w)."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
     right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
@@ -44,7 +44,7 @@ class Level(NamedTuple):
 
 
 def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
-    """Build all multigrid levels from the operator of the finest; the finest comes first.
+    """Build the pyramid of multigrid levels from the operator of the finest level, which comes first.
 
     Args:
         tensor: (B, 3, H, W) J, 0 outside the mask.
@@ -93,13 +93,13 @@ def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def degrees(right: Tensor, down: Tensor) -> Tensor:
-    """Return the degree (B, 1, h, w) of each cell: the sum of the weights of its edges."""
+    """Return the degree (B, 1, h, w) of each cell: the sum of the weights of the edges at the cell."""
     pad = functional.pad
     return pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """Return the flow (B, 2, h, w) after the given number of multigrid cycles.
+    """Improve a flow (B, 2, h, w) by multigrid cycles, each of which descends to the coarsest level and returns.
 
     Args:
         levels: of the multigrid; the finest is that of the flow.
@@ -162,6 +162,6 @@ def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) ->
 
 
 def times(tensor: Tensor, field: Tensor) -> Tensor:
-    """Return products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w), xx, xy, yy, with vectors (B, 2, h, w)."""
+    """Multiply symmetric 2 x 2 matrices (B, 3, h, w), given as xx, xy, yy, by vectors (B, 2, h, w)."""
     u, v = field[:, :1], field[:, 1:]
     return torch.cat((tensor[:, :1] * u + tensor[:, 1:2] * v, tensor[:, 1:2] * u + tensor[:, 2:] * v), dim=1)

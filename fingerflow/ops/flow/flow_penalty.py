@@ -1,4 +1,4 @@
-"""Charbonnier's penalty of dense flow, by lagged diffusivity.
+"""Charbonnier's robust penalty for dense flow, as a quadratic penalty with weights (lagged diffusivity).
 
 Both terms have sqrt(c^2 + z) in place of z: quadratic for small differences, linear for large ones. What stands still
 before moving skin (dust on the glass), or a jump of the motion, then costs less than its square (Bruhn, Weickert,
@@ -46,7 +46,7 @@ def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
 
 
 def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, roughness: float) -> list[Level]:
-    """Build the multigrid of dense flow with the smoothness weights that belong to a flow (B, 2, h, w) on cells.
+    """Build the multigrid levels of dense flow with the smoothness weights of a given flow (B, 2, h, w) on cells.
 
     Args:
         finest: level of the quadratic system.

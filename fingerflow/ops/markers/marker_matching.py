@@ -1,4 +1,4 @@
-"""Matching of detected markers to those at rest, on the assumption that the gel moves continuously."""
+"""Matching of detected markers to the markers at rest, on the assumption that the gel moves continuously."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ _SETTLED = 1e-3  # largest change of a message at convergence
 
 
 class Ties(NamedTuple):
-    """Ties (edges) between neighbouring markers, each in both directions.
+    """Edges (ties) of the graph of neighbouring markers, each stored in both directions.
 
     Attributes:
         first, second: (T,) int64, indices of the tied markers.
@@ -39,9 +39,9 @@ class Ties(NamedTuple):
 
 
 def tie_neighbours(reference: Tensor) -> Ties:
-    """Return the ties between neighbouring markers, from their positions (N, 2) at rest, N at least 2, all finite.
+    """Return the edges between neighbouring markers, given the positions (N, 2) of the markers at rest.
 
-    The spacing is the median distance to the nearest neighbour.
+    N is at least 2, and all positions are finite. The spacing is the median distance to the nearest neighbour.
     """
     distance = torch.cdist(reference, reference)
     distance.fill_diagonal_(torch.inf)
@@ -56,7 +56,7 @@ def tie_neighbours(reference: Tensor) -> Ties:
 
 
 def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor) -> Tensor:
-    """Return, for each marker at rest, the index (N,) of its detection in a frame; -1 if it is not detected.
+    """Match markers: return, for each marker at rest, the index (N,) of the detection in a frame; -1 if undetected.
 
     No detection is assigned twice. The assignment minimises the cost of a Markov random field by min-sum belief
     propagation (Felzenszwalb & Huttenlocher 2006). A tie costs the squared difference of the neighbours' displacements

@@ -1,4 +1,4 @@
-"""Detection of printed markers: dark or bright blobs of one size, located to subpixel accuracy at their scale."""
+"""Detection of printed markers, which are dark or bright blobs of one size, to subpixel accuracy."""
 
 import math
 from typing import NamedTuple
@@ -25,7 +25,7 @@ _APART = 1.5  # scales, least distance between two markers: a disc has a radius 
 
 
 class MarkerLook(NamedTuple):
-    """Appearance of the markers of a recording.
+    """Appearance of the printed markers in a recording: size, polarity and strength of response.
 
     Attributes:
         scale: px, the radius of a disc over sqrt(2).
@@ -39,7 +39,7 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Radius of a marker, px: that of the disc with the strongest response at this scale."""
+        """Radius of a marker, px: that of the disc to which a filter of the scale `scale` responds most strongly."""
         return math.sqrt(2) * self.scale
 
 
@@ -61,7 +61,7 @@ class Markers(NamedTuple):
 
 
 def measure_markers(frame: Tensor) -> MarkerLook | None:
-    """Measure the appearance of the markers in one image (1, 1, H, W); None if it shows none.
+    """Measure the appearance of the printed markers in one image (1, 1, H, W); return None if no markers are visible.
 
     Blobs are the extrema over position and scale of the scale-normalised Laplacian of Gaussian (Lindeberg 1998), over
     the local brightness, so that the illumination gain cancels. Markers are few and strong while the blobs between them
@@ -101,11 +101,12 @@ def measure_markers(frame: Tensor) -> MarkerLook | None:
 
 
 def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Markers:
-    """Detect markers of a given appearance in images (B, 1, H, W), 8 to 16 bit or floating; at most `count` per image.
+    """Detect at most `count` markers of a given appearance in each image of a batch (B, 1, H, W).
 
-    Markers are maxima of the Laplacian of Gaussian at the markers' scale with at least `LEAST_CONTRAST` of their median
-    response. A Newton step to the maximum of the quadratic through the 3 x 3 pixels around gives the subpixel position.
-    Beyond the border the nearest pixel counts; a marker cut by the border is detected, but off its true centre.
+    Images have 8 to 16 bit or are floating point. Markers are maxima of the Laplacian of Gaussian at the markers' scale
+    with at least `LEAST_CONTRAST` of their median response. A Newton step to the maximum of the quadratic through the 3
+    x 3 pixels around gives the subpixel position. Beyond the border the nearest pixel counts; a marker cut by the
+    border is detected, but off its true centre.
 
     Noise of standard deviation s moves the maximum by H^-1 times the gradient of the filtered noise, H the second
     derivatives there. Each component of that gradient has the variance 3 s^2 / (4 pi scale^4).
@@ -138,7 +139,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Locate markers at a coarser scale: return the position (B, N, 2) px of the highest response near x, y (B, N).
+    """Locate markers at a coarser scale: return the positions (B, N, 2) px of highest response near pixels x, y (B, N).
 
     Positions within one scale are considered.
     """
@@ -159,7 +160,7 @@ def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
 
 
 def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """Compute the blob response: scale^2 times the Laplacian of the blurred image over its brightness.
+    """Compute the blob response: scale^2 times the Laplacian of the blurred image, divided by the local brightness.
 
     It is positive for dark blobs. The result is larger than the image by `margin` pixels on each side.
     """
@@ -194,10 +195,10 @@ def _gaussian(size: int, scale: float, margin: int, like: Tensor) -> Tensor:
 
 
 def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
-    """Locate the extremum of a quadratic through 3 x 3 values (9, ...): return the step (..., 2) from the centre value.
+    """Locate the summit of a quadratic surface through 3 x 3 values: return the step (..., 2) from the centre value.
 
-    The step is at most 0.6 px in x and y. Also return the inverse (..., 2, 2) of the second derivatives. Where the
-    quadratic has no extremum, the step is 0 and the inverse NaN.
+    The values are (9, ...). The step is at most 0.6 px in x and y. Also return the inverse (..., 2, 2) of the second
+    derivatives. Where the quadratic has no extremum, the step is 0 and the inverse NaN.
     """
     a, b, c, d, e, f, g, h, i = near
     slope = torch.stack((f - d, h - b), dim=-1) / 2
@@ -216,7 +217,7 @@ def _noise(frames: Tensor) -> Tensor:
 
 
 def _between(strength: Tensor) -> float:
-    """Return Otsu's threshold of single values: it maximises the variance between two classes.
+    """Return Otsu's threshold of a list of values, which maximises the variance between two classes.
 
     It is -inf below two values.
     """

@@ -1,1 +1,1 @@
-"""Tracking of skin points: corners, subsets (templates), registration, outliers."""
+"""Tracking of skin points: corner detection, templates (subsets), registration and outlier detection."""

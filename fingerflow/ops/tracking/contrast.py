@@ -34,7 +34,7 @@ def subtract_background(frames: Tensor, background: Tensor) -> Tensor:
 
 
 def stretch_contrast(frames: Tensor) -> Tensor:
-    """Stretch each frame linearly so that its 0.01 quantile becomes 0 and its 0.99 quantile 1; clip beyond.
+    """Stretch each frame linearly to 0 at the 0.01 quantile and 1 at the 0.99 quantile, and clip values beyond.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 32 bit or floating. Only finite pixels count (`frame_quantile`).
@@ -55,7 +55,7 @@ def stretch_contrast(frames: Tensor) -> Tensor:
 
 
 def unsharp_mask(frames: Tensor, sigma: float) -> Tensor:
-    """Return 2 frames - blurred frames: details smaller than `sigma` are doubled.
+    """Sharpen frames by adding the difference from a Gaussian blur, which doubles details smaller than `sigma`.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating.

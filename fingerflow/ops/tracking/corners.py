@@ -22,7 +22,7 @@ _ROUNDING = 1e-5
 
 
 class Corners(NamedTuple):
-    """Corners of B frames, strongest first; where a frame has fewer than `count`, the rest is NaN and not valid.
+    """Corners detected in B frames, strongest first; entries beyond the corners found are NaN and not valid.
 
     Attributes:
         points: (B, count, 2) as (x, y) px.
@@ -115,7 +115,7 @@ def detect_corners(
 
 
 def corner_response(frame: Tensor, window: int = 7) -> Tensor:
-    """Return the smaller eigenvalue of the structure tensor at each pixel.
+    """Return the corner response of each pixel: the smaller eigenvalue of the structure tensor.
 
     It is the least mean squared gradient along any direction.
 
@@ -176,7 +176,7 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return a corner response that no window of pure white noise of variance 1 reaches.
+    """Return a corner response above all noise: one that no window of pure white noise of variance 1 reaches.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
@@ -186,7 +186,7 @@ def _above_noise(window: int) -> float:
 
 
 def _noise_deviation(frame: Tensor) -> Tensor:
-    """Estimate the standard deviation of the noise, (B,) grey levels.
+    """Estimate the standard deviation (B,) of the noise in frames, in grey levels.
 
     Non-finite pixels are replaced by the mean of the others, which hardly raises the estimate.
     """
@@ -202,7 +202,7 @@ def _noise_deviation(frame: Tensor) -> Tensor:
 
 
 def _inside(frame: Tensor, border: int) -> Tensor:
-    """Return a mask (1, 1, H, W) bool of the pixels at least `border` away from the edge of the frame."""
+    """Return a mask (1, 1, H, W) bool of the pixels that lie at least `border` px inside the frame."""
     height, width = frame.shape[-2:]
     y, x = torch.arange(height, device=frame.device), torch.arange(width, device=frame.device)
     rows, columns = (y >= border) & (y < height - border), (x >= border) & (x < width - border)
@@ -249,7 +249,7 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Select corners greedily by strength: mark the candidates not too near a stronger one that is kept.
+    """Mark the corner candidates to keep: each is kept unless it lies too near a stronger candidate that is kept.
 
     Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
     is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first

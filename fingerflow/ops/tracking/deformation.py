@@ -1,10 +1,10 @@
-"""Correction of tracked points for the skin's deformation E = F F_0^-1 - I since their templates were prepared.
+"""Correction of tracked points for the deformation of the skin since the preparation of the templates.
 
-F = I + du/dX is estimated by local fits in the key frame; a template was prepared with F_0. To first order E displaces
-the tracked point by D E, where D depends on the template (`Number.LEAN`). Displacement that varies within a window
-beyond F adds a second bias: with u(p + w) = u + F w + w'Hw / 2, the mean of w'Hw / 2 over a square of n px is the
-Laplacian of u times (n^2 - 1) / 24. Both are subtracted. At n = 25 the second is 0.02 px where the divergence of skin
-changes by 2 % per mm.
+That deformation is E = F F_0^-1 - I. F = I + du/dX is estimated by local fits in the key frame; a template was prepared
+with F_0. To first order E displaces the tracked point by D E, where D depends on the template (`Number.LEAN`).
+Displacement that varies within a window beyond F adds a second bias: with u(p + w) = u + F w + w'Hw / 2, the mean of
+w'Hw / 2 over a square of n px is the Laplacian of u times (n^2 - 1) / 24. Both are subtracted. At n = 25 the second is
+0.02 px where the divergence of skin changes by 2 % per mm.
 
 E also leaves a residual e'Qe (`Number.BENDING`) in the window, which would count as noise. It is subtracted from the
 covariance, down to the contribution of the key frame's noise.
@@ -80,9 +80,9 @@ def correct_points(
 
 
 def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Return position covariances (K, N, 2, 2) without the residual that the deformation E (K, 4, N) causes.
+    """Return position covariances (K, N, 2, 2) less the residual that deformation of the skin causes in the window.
 
-    `of` (K, 32, N) are the template statistics.
+    The deformation E is (K, 4, N). `of` (K, 32, N) are the template statistics.
     """
     pairs = torch.cat([unknown[:, k : k + 1] * unknown[:, k:] for k in range(4)], dim=1)
     bending = sum_rows(of[:, Number.BENDING :] * pairs)

@@ -1,4 +1,4 @@
-"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than these."""
+"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than their neighbours."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Outlier flags of tracked points, (B, N) bool each.
+    """Two outlier flags of each tracked point, (B, N) bool.
 
     Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 
@@ -41,7 +41,7 @@ class Outliers(NamedTuple):
 
 
 def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """Return the nearest neighbours with which each point is compared, once for all frames of the same points.
+    """Return the nearest neighbours of each point, with which the outlier test compares the point.
 
     Args:
         positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
@@ -65,7 +65,7 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
 
 
 def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Tensor) -> Outliers:
-    """Flag points whose displacement or uncertainty stands out among their neighbours.
+    """Flag points whose displacement or uncertainty differs greatly from that of their neighbours.
 
     A point i and a neighbour j agree if both lie on one plane of slope G to within their standard deviations. Their
     misfit is z^2 = |u_j - u_i - G (x_j - x_i)|^2 / (s_i^2 + s_j^2). The disagreement of a point is the square root of
@@ -125,7 +125,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
 
 
 def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-    """Gather point values (B, 1, N) at the k neighbours of each point, (B, k, N) each.
+    """Gather the values (B, k, N) of the k neighbours of each point, given point values (B, 1, N).
 
     The indices are (1 or B, k, N).
     """
@@ -150,7 +150,7 @@ def _total(values: Tensor) -> Tensor:
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the misfits z^2 (B, k, N) between points and neighbours, and the harmonic mean (B, 1, N) of 1 + z^2.
+    """Measure how well points agree with neighbours: squared misfits z^2 (B, k, N), and the harmonic mean of 1 + z^2.
 
     The mean is over the neighbours, and 1 where there are none.
     """
@@ -184,6 +184,6 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the residuals of displacement differences u, v (B, k, N) from planes with given slopes (B, 1, N)."""
+    """Return how far displacement differences u, v (B, k, N) lie above planes of given slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

@@ -23,9 +23,10 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """Return the position of highest normalised cross-correlation (ZNCC) within `radius` px of `guess` in x and y.
+    """Search for windows: return the position of highest normalised cross-correlation within `radius` px of `guess`.
 
-    Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess` is returned.
+    The radius holds in x and in y. Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess`
+    is returned.
 
     The search runs through the Fourier transform on images of half resolution and is accurate to about a pixel. Its
     result is a starting position for :func:`~fingerflow.ops.tracking.track_points.track_points`, not a replacement.
@@ -70,7 +71,7 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """Search for windows as `search_windows` and search back from each match.
+    """Search for windows as `search_windows` does, and search back from each match to the start.
 
     Return the positions (P, 2), and whether (P,) the backward search returns to the start. The search back is
     independent of the displacement found. It must end within `forward_backward_limit`, plus the pixel to which a search
@@ -129,7 +130,7 @@ def _search_coarse(
 
 
 def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
-    """Return the correlations (P, span, span) of templates (P, n, n) with patches (P, m, m) at every shift.
+    """Correlate templates (P, n, n) with patches (P, m, m): return the sums of products (P, span, span) at every shift.
 
     Here m = n + span - 1.
     """
@@ -147,7 +148,8 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
-    """Return the flat index (P,) of the highest score in square score maps (P, span span).
+    """Return the flat index (P,) of the highest score in each square map, or of the most central of nearly equal
+    scores.
 
     Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
     """

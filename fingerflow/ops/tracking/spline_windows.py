@@ -1,4 +1,4 @@
-"""Sampling of windows around points by batched matrix products, from pixel patches and the spline's weights.
+"""Sampling of spline windows around points, by batched matrix products of pixel patches with B-spline weights.
 
 A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, with the patch of pixels p. B is a band matrix of the
 weights of s: those of the cubic B-spline, convolved with the smoothing that yields its coefficients
@@ -18,10 +18,10 @@ TAPS = 5
 
 
 def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> Tensor:
-    """Cut patches (P, side, side) of views (B, 1, H, W) around whole pixels (B, 2, N), x first.
+    """Cut square patches (P, side, side) from images (B, 1, H, W), centred on whole pixels (B, 2, N).
 
-    P = B N and side = size + 6. The border is replicated; a window that would reach beyond the replicated border is
-    moved inwards.
+    P = B N and side = size + 6; pixels are (x, y). The border is replicated; a window that would reach beyond the
+    replicated border is moved inwards.
     """
     side = size + 2 * MARGIN
     # uint8 is copied unconverted: a quarter of the memory.
@@ -47,19 +47,19 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 
 def taps(shift: Tensor) -> Tensor:
-    """Return the five cubic B-spline weights b3(shift - k), k = -2 .. 2, (..., 5), for shifts (...) in (-1, 1)."""
+    """Return the five cubic B-spline weights (..., 5) of the coefficients at -2 to 2, for a position `shift` (...)."""
     return _values(*_distances(_from_places(shift)))
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the five cubic B-spline weights of `taps` and their derivatives, (..., 5) each."""
+    """Return the five cubic B-spline weights (`taps`) and the derivatives of the weights, (..., 5) each."""
     beside = _from_places(shift)
     u, v = _distances(beside)
     return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()
 
 
 def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
-    """Sample the spline on windows (P, size size), at shifts (P, 2) px from the middles of patches (P, side, side)."""
+    """Sample the spline on windows (P, size size), shifted by (P, 2) px from the centres of patches (P, side, side)."""
     weights = taps(shift)
     if looks(patches, shift) and len(patches):
         # A grouped convolution takes torch half the time of matrix products, and ONNX Runtime five times as long.
@@ -72,7 +72,7 @@ def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
 
 
 def along_y(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., size, side) that map a pixel column of a patch to the spline on a window.
+    """Return matrices (..., size, side) that sample the spline along y: from a pixel column of a patch to a window.
 
     `weights` (..., 5) are the taps of the y shift.
     """
@@ -85,7 +85,7 @@ def along_y(weights: Tensor, size: int) -> Tensor:
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., side, size) that map a pixel row of a patch to the spline on a window.
+    """Return matrices (..., side, size) that sample the spline along x: from a pixel row of a patch to a window.
 
     `weights` (..., 5) are the taps of the x shift.
     """
@@ -93,13 +93,13 @@ def along_x(weights: Tensor, size: int) -> Tensor:
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
-    """Convert weights (..., size, size) of spline samples at whole pixels to pixel weights (..., side, side)."""
+    """Convert weights (..., size, size) of spline samples to the equivalent weights (..., side, side) of pixels."""
     middle = along_y(taps(weights.new_zeros(())), size)
     return middle.T @ weights @ middle
 
 
 def _smoothed(like: Tensor) -> Tensor:
-    """Return the matrix (5, 7) that converts weights of spline coefficients to weights of pixels."""
+    """Return the smoothing matrix (5, 7) that converts weights of spline coefficients to weights of pixels."""
     place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
     middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
     return middle / 2 + beside / 4
@@ -119,7 +119,7 @@ def _values(u: Tensor, v: Tensor) -> Tensor:
 
 
 def _bordered(view: Tensor, border: int) -> Tensor:
-    """Replicate the border of a view (B, 1, H, W) of any dtype, to (B, 1, H + 2 border, W + 2 border)."""
+    """Extend an image (B, 1, H, W) of any dtype by `border` replicated pixels on every side."""
     if torch.compiler.is_exporting():  # torch does not pad uint8
         return functional.pad(view, (border,) * 4, mode="replicate")
     for dim in (2, 3):

@@ -87,7 +87,7 @@ class Found(NamedTuple):
 
     @property
     def variance(self) -> Tensor:
-        """Return the variance (B, N), px^2, of a component of `points`: the mean of both components."""
+        """Return the position variance (B, N), px^2: the mean of the variances in x and y."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
 
@@ -100,7 +100,7 @@ def prepare_templates(
     gain_offset: bool = True,
     noise: Tensor | None = None,
 ) -> Templates:
-    """Compute the templates of points in a key frame.
+    """Prepare the templates of points in a key frame, for registration in later frames.
 
     Args:
         image: (B, 1, H, W), 8 to 16 bit or floating.
@@ -134,7 +134,7 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Compute templates from a key frame's spline coefficients and noise level; its grey levels are integers.
+    """Compute templates anew from the spline coefficients and the noise level of a key frame with integer grey levels.
 
     This is the exported form of `prepare_templates`.
 
@@ -150,7 +150,7 @@ def renew_templates(
 
 
 def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Compute templates by sampling the key frame's spline at points `given` (B, N, 2) + F^-1 w; `inverse` is F^-1."""
+    """Compute templates of points `given` (B, N, 2) by sampling a key frame's spline on windows deformed by F^-1."""
     known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
     inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
     place = torch.where(known, given, 0.0)
@@ -170,7 +170,7 @@ def _from_samples(
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Compute templates from sampled values (P, n, n) and slopes (P, 2, n, n) at positions (B, N, 2).
+    """Compute templates of points (B, N, 2) from sampled windows: values (P, n, n) and slopes (P, 2, n, n).
 
     `known` is False for positions that are placeholders.
     """
@@ -200,7 +200,7 @@ def find_templates(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Found:
-    """Register templates in a frame, each near its predicted position.
+    """Register templates in a frame, each near the predicted position of a point.
 
     The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2). H = sum g g', w are the weights of the pixels
     in sum g S, and a is the gain. The noise of both images is estimated together from the residual; for equal
@@ -252,7 +252,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return the indices (B, L) of the points that are `wanted` (B, N) bool, filled up with others to one number L.
+    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to an equal number L per frame.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
@@ -297,7 +297,7 @@ def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
-    """Return whether the windows of points (..., 2) lie in the image, to within `SLACK`, (...) bool."""
+    """Return True for points (..., 2) whose window the image contains, to within `SLACK` px."""
     height, width = image.shape[-2:]
     half = window // 2
     least = half - limits.SLACK
@@ -313,7 +313,7 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """Sample the spline (P, wide, wide) and its slopes (P, 2, wide, wide) on undeformed windows at (B, N, 2) px."""
+    """Sample the spline and the spline's slopes on straight (undeformed) windows around points (B, N, 2) px."""
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)
@@ -327,7 +327,7 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Remove from slopes (P, 2, samples) the changes that gain and offset of the illumination would cause.
+    """Remove from slopes (P, 2, samples) the components that a change of gain and offset of the light would cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """
@@ -384,7 +384,7 @@ def _numbers(
 
 
 def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
-    """Return the position covariance (P, 3), xx, xy, yy, px^2, that white pixel noise of variance 1 causes.
+    """Return the position covariance xx, xy, yy (P, 3), px^2, that white noise of variance 1 in each pixel causes.
 
     It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples):
     the Cramér-Rao bound H^-1 but for the smoothing by the spline.
@@ -475,10 +475,10 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return three sums (B, 3, N) over the residual of each registered window.
+    """Return three sums over the residual of each registered window: squares, and edge differences in x and in y.
 
-    The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D grad D in x and in y: half
-    the differences of D^2 between opposite edges.
+    The sums are (B, 3, N). The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D
+    grad D in x and in y: half the differences of D^2 between opposite edges.
     """
     own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
@@ -490,7 +490,7 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """Return the scalar products (B, 3, N) of the three sample rows of each template with its window.
+    """Multiply three rows of samples of each template with a window of the frame: return scalar products (B, 3, N).
 
     Samples are (B, N, 3, m), windows (B N, ...) of m samples.
     """
@@ -500,7 +500,7 @@ def _times(samples: Tensor, windows: Tensor) -> Tensor:
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
-    """Return products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
+    """Multiply symmetric matrices (B, 3, N), given as xx, xy, yy, by vectors (B, 2, N)."""
     return matrix[:, ::2] * vectors + matrix[:, 1:2] * vectors.flip(1)
 
 

@@ -65,7 +65,7 @@ def track_points(
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Tracks:
-    """Track points from `previous` to `current`, with a forward-backward check.
+    """Track points from the image `previous` to the image `current`, with a forward-backward check.
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
@@ -112,7 +112,7 @@ def track_points(
 
 
 class Passed(NamedTuple):
-    """Results of all passes of `in_passes`: those of `Found` without `estimate`, and the deformation of the templates.
+    """Points tracked by `in_passes`, with error, covariance, status, and the deformation of the templates.
 
     `warp` is (B, N, 2, 2), or None where templates are not deformed.
     """
@@ -160,7 +160,7 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> Passed:
-    """Track points in one or two passes, without derivatives; arguments as for `track_points`.
+    """Track points in one or two passes, without derivatives; the arguments are those of `track_points`.
 
     One operator for the compiler, since the number of passes and searches depends on data.
     """
@@ -209,7 +209,7 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """Register points (B, N, 2) of `previous` in `current`, near positions `near`; also return template statistics."""
+    """Find points (B, N, 2) of `previous` in `current` near positions `near`; also return the template statistics."""
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
@@ -241,7 +241,7 @@ def _search_lost(
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
-    """Search exhaustively for lost points within `radius` px of `guess` (B, N, 2); return `found` with them updated.
+    """Search exhaustively for lost points within `radius` px of `guess` (B, N, 2), and insert the results into `found`.
 
     A search back from the match is independent of the displacement found. If it misses the start by more than the limit
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.
@@ -304,7 +304,7 @@ def _real(image: Tensor) -> Tensor:
 def _with_derivative(
     images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
 ) -> Tensor:
-    """Attach to the positions `found` their derivative with respect to images and points; values stay unchanged.
+    """Make the positions `found` differentiable with respect to images and points; the positions keep their values.
 
     The derivative is that of a Newton step from the root. At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0,
     hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.

@@ -68,7 +68,7 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """Return, along one axis, the first of the four pixels (N, m) that interpolate each sample, and their weights.
+    """Return, along one axis, the first of the four pixels (N, m) that interpolate each sample, and all four weights.
 
     `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """
@@ -82,17 +82,17 @@ def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, 
 
 
 def _near(distance: Tensor) -> Tensor:
-    """Return the interpolation weight of a pixel at most 1 px away (Keys 1981, eq. 15 with a free parameter)."""
+    """Return the cubic convolution weight of a pixel at most 1 px from a sample (Keys 1981, equation 15)."""
     return ((_SHARPNESS + 2) * distance - (_SHARPNESS + 3)) * distance * distance + 1
 
 
 def _far(distance: Tensor) -> Tensor:
-    """Return the interpolation weight of a pixel 1 to 2 px away (Keys 1981)."""
+    """Return the cubic convolution weight of a pixel 1 to 2 px from a sample (Keys 1981)."""
     return _SHARPNESS * (((distance - 5) * distance + 8) * distance - 4)
 
 
 def _steps(window: int, step: int, like: Tensor) -> Tensor:
-    """Return the sampling grid (m, 2) px of a window relative to its centre, in the dtype and device of `like`."""
+    """Return the sampling grid (m, 2) px of a window, relative to the window's centre, in steps of `step` px."""
     reach = window // 2
     offsets = torch.arange(-reach, reach + 1, step, dtype=like.dtype, device=like.device)
     y, x = torch.meshgrid(offsets, offsets, indexing="ij")
