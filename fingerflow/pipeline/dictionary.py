@@ -7,7 +7,7 @@ from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
-    """Description of one result variable.
+    """Entry of the dictionary: unit, definition, equation and stage of one result variable.
 
     Attributes:
         units: of the data set; ``shown_unit`` that of figures, reports and pages, "" if dimensionless.

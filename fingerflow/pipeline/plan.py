@@ -38,7 +38,7 @@ class Plan(NamedTuple):
         return tuple(stage.name for stage in self.stages)
 
     def passes(self) -> list[list[type[Stage]]]:
-        """Return the planned stages grouped by passes over the frames.
+        """Return the planned stages as a list of groups, each of which is run in one pass over the frames.
 
         Stages of one pass depend on each other only through their steps (`Stage.beside`); a stage in `Stage.after`
         belongs to an earlier pass.
@@ -54,7 +54,7 @@ class Plan(NamedTuple):
 
 
 def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
-    """Plan a run: return the stages for the requested outputs, and the stages that these depend on.
+    """Return the plan of a run: the stages for the requested outputs, and all stages on which these depend.
 
     None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
     output that does not exist or that the scene cannot give.
@@ -103,7 +103,7 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
 
 
 def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
-    """Return the keys that a stage and its dependencies need, and that the scene does not set.
+    """Return the keys that a stage and its dependencies need, but that are missing in the scene file.
 
     `at` maps `Stage.place` to the implementation that is used.
     """
