@@ -1,4 +1,4 @@
-"""Opening of a recording by the reader for its file format."""
+"""Opening of recordings, with a separate reader for each file format."""
 
 from __future__ import annotations
 

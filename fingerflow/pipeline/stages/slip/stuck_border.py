@@ -181,8 +181,7 @@ class Length:
         self._held: Mask | None = None  # (N,) points that stuck so far
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Return the stick region of one frame as a mask on the fine grid; for the arguments see `StuckBorder.gather`.
-        """
+        """Return the stick region of one frame as a mask on the fine grid; arguments as for `StuckBorder.gather`."""
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
             return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
