@@ -76,7 +76,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    """Return the numbers of a table with `columns` columns; raise ValueError for cells that are not numbers."""
+    """Return the numbers in a table body; raise ValueError unless every line has `columns` numbers."""
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
         body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
