@@ -92,7 +92,7 @@ def _is_disc(disc: Disc) -> bool:
 
 
 def _is_there(background: Array | None, disc: Disc) -> bool:
-    """Return whether a disc is also there, at equal position and size, in the image `background`."""
+    """Return whether the image `background` also shows a disc of equal position and size; False without background."""
     if background is None:
         return False
     same = fit_disc(background, disc.center, disc.radius_px)

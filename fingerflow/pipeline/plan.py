@@ -1,4 +1,4 @@
-"""Plan of a run: the stages that the requested outputs need, in order."""
+"""Plan of a run: the ordered stages that are needed for the requested outputs."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -27,14 +27,14 @@ _REMEDIES = {
 
 
 class Plan(NamedTuple):
-    """Plan of a run: stages in the order of their dependencies, and names of requested optional variables."""
+    """Plan of a run: stages sorted by dependency, and names of requested optional variables."""
 
     stages: tuple[type[Stage], ...]
     asked: frozenset[str]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the planned stages in order."""
+        """Return the names of the planned stages, in the order in which the stages run."""
         return tuple(stage.name for stage in self.stages)
 
     def passes(self) -> list[list[type[Stage]]]:
@@ -103,7 +103,7 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
 
 
 def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
-    """Return the keys that a stage and its dependencies need, but that are missing in the scene file.
+    """Return the scene keys that are missing for a stage, or for one of the stages on which the stage depends.
 
     `at` maps `Stage.place` to the implementation that is used.
     """

@@ -45,7 +45,7 @@ _SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """Cache key of a stage: a digest of everything that its results depend on, and the values of its settings.
+    """Cache key of a stage: a digest of everything that determines the results, and the values of the settings used.
 
     Attributes:
         digest: of all of it.
@@ -158,7 +158,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _why_not(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return the reason why the earlier results of a stage cannot be reused, or "" if they can be."""
+    """Return the reason why the earlier results of a stage cannot be reused, or "" for reusable results."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]

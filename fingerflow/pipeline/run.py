@@ -52,7 +52,7 @@ def process(
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> xr.Dataset:
-    """Compute the requested `outputs` of a scene, running only the stages that these need.
+    """Compute the requested `outputs` of a scene, running only the stages needed for these outputs.
 
     Args:
         scene: from :func:`~fingerflow.schema.scene.load_scene`, or the path of its file.

@@ -51,13 +51,13 @@ class PatientFile:
         return len(self._kept)
 
     def write(self, data: bytes | memoryview) -> None:
-        """Add bytes to the buffer; `flush` writes them to the file."""
+        """Add bytes to the buffer, which `flush` writes to the file."""
         with self._lock:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write the buffer to the file. After a period with a full disk, return once how long it lasted; otherwise
-        None.
+        """Write all buffered bytes to the file. After a period with a full disk, return once how long it lasted;
+        otherwise None.
 
         Args:
             wait: wait for room where there is none.

@@ -198,7 +198,7 @@ class Sink:
             self._events.flush()
 
     def close(self) -> None:
-        """Write buffered records to the disk and close the files. Raises PlayerError where that fails."""
+        """Write all buffered records to the disk and close all files. Raises PlayerError where that fails."""
         if self._records is None or self._events is None:
             return
         with self._said():

@@ -29,7 +29,7 @@ class TransformRows(NamedTuple):
 
 
 class CalibrationFile(NamedTuple):
-    """Content of a calibration file.
+    """Content of a calibration file in plain numbers: image scale, transforms and discs.
 
     Pixels are those of a view. `views` holds half-open ranges of rows and columns of a frame.
     """
@@ -52,7 +52,7 @@ class CalibrationFile(NamedTuple):
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Return the content of a calibration file.
+    """Read a calibration file and return the content in plain numbers.
 
     Raises CalibrationError where the file cannot be read, lacks an entry, or holds an invalid scale or transform.
     """

@@ -32,7 +32,7 @@ class Kind:
     streamed: bool = True
 
     def computes(self, stage: str) -> bool:
-        """Return whether a stage runs by default for scenes of this kind."""
+        """Return whether scenes of this kind run a given stage by default."""
         return (self.stages is None or stage in self.stages) and stage not in self.without
 
 

@@ -9,7 +9,7 @@ from fingerflow.pipeline.stages.stage import Stage
 
 @cache
 def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
-    """Return all stage classes in an order in which every stage follows the stages it depends on.
+    """Return all stage classes, sorted by dependency: every stage comes after the stages that it needs.
 
     `instead` names the alternative implementations that replace their base stages.
     """

@@ -15,7 +15,7 @@ from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read,
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return all columns of a text file of forces.
+    """Return all columns of a delimited text file with forces.
 
     The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
     separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.

@@ -60,7 +60,7 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """Return these forces with time shifted to 0 where the trigger channel first rises through `trigger_level`.
+        """Return the forces with time shifted to 0 where the trigger channel first rises through `trigger_level`.
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.

@@ -24,7 +24,7 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """Return the table in a text: consecutive lines of numbers, with the heading above them.
+    """Return the table in a text without the preamble: consecutive lines of numbers, and the heading above.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text

@@ -212,7 +212,7 @@ def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
 
 
 def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
-    """Return the number of leading frames that are completely stored in the file."""
+    """Return how many frames, from the first one on, are completely stored in a `.cine` file."""
     ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
     while count:

@@ -117,7 +117,7 @@ class Recording(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the file. Reading afterwards is an error."""
+        """Close the recorded file. Reading afterwards is an error."""
 
     @overload
     def __getitem__(self, key: int) -> Frames: ...
@@ -346,7 +346,7 @@ def possible_rate(rate: float) -> bool:
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
-    """Check that a data type can hold grey values, and return it.
+    """Return a data type unchanged, after checking that it can hold grey values.
 
     Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
     """

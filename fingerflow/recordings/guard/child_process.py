@@ -114,7 +114,7 @@ class _ChildProcess:
         return process
 
     def _answer(self, process: subprocess.Popen[str], line: str | None) -> Any:
-        """Send a request to the child process and return its answer; None if the process has ended."""
+        """Send a request to the child process and return the answer; None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
         try:

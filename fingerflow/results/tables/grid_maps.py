@@ -1,4 +1,4 @@
-"""Maps of a variable of points or triangles, interpolated on a regular grid of the glass."""
+"""Maps of a variable, interpolated from points or triangles of skin to a regular grid of the glass."""
 
 import json
 from typing import NamedTuple

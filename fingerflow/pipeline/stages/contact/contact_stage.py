@@ -174,7 +174,7 @@ class ContactStage(Stage):
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
     def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
-        """Return the patch of skin in contact in the reference frame, for the analysis of its ridges."""
+        """Return the patch of skin in contact in the reference frame, for the analysis of ridges."""
         frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
         dark = np.float32(0) if black is None else black
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
@@ -215,8 +215,7 @@ class ContactStage(Stage):
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Return the mean intensity of a frame as a fraction of that of the empty glass, corrected for illumination
-        gain.
+        """Return the mean ratio of a frame's intensity to that of the empty glass, corrected for illumination gain.
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """

@@ -41,8 +41,7 @@ class Moved(NamedTuple):
 
 
 class DisplacementStage(Stage):
-    """Stage that determines the reference position of each point and its uncertainty, and measures displacement from
-    it.
+    """Stage that measures the displacement of each point from a reference position, and the uncertainty of both.
 
     `fields.reference` selects the reference: each point's own onset of contact, which is uncertain, or one frame for
     all.

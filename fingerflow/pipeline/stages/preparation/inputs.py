@@ -93,7 +93,7 @@ class Inputs:
         return self._still(self.scene.background.frames, view)
 
     def dark(self, view: View) -> Tensor | None:
-        """Return the image of a view without light as (1, 1, h, w) float32, or None if none was recorded."""
+        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32, or None if none was recorded."""
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
@@ -137,7 +137,7 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Open the recording of a scene, and check that the scene's views lie within its frames.
+    """Open the recording of a scene, and check that all views of the scene lie within the frames.
 
     `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
 

@@ -66,7 +66,7 @@ def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
 def reference_of(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
 ) -> Reference:
-    """Return the displacement reference of a scene, given `times` (frames,) s and `status` (frames,) of its frames.
+    """Return the reference frame of displacement for a scene, given times (s) and status of all frames.
 
     Raises FingerflowError for a frame outside the selection or an unusable one.
     """

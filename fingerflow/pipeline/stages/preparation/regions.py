@@ -1,4 +1,4 @@
-"""Masks of the regions of interest that a scene defines in its views."""
+"""Masks of the regions of interest that a scene file defines in the views."""
 
 from dataclasses import asdict
 

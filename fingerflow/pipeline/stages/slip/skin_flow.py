@@ -20,7 +20,7 @@ _FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displaceme
 
 
 class FlowMotion(NamedTuple):
-    """Displacement of the skin from the first frame to a later one, and its variance.
+    """Displacement of all skin pixels from the first frame to a later frame, with the variance by image noise.
 
     Attributes:
         displacement: (H, W, 2) px of the skin at each pixel of the first picture; NaN where the flow is rejected.
@@ -138,7 +138,7 @@ def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
 
 
 def _planes(field: Field, like: Tensor) -> Tensor:
-    """Convert an array (H, W, 2) to a tensor (1, 2, H, W)."""
+    """Convert a vector field (H, W, 2) from a NumPy array to a tensor (1, 2, H, W)."""
     return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 

@@ -61,7 +61,7 @@ class SlipGrid:
         return result
 
     def fine(self, values: Field) -> Field:
-        """Interpolate values of cells, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
+        """Interpolate cell values, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
         rows, columns = values.shape[:2]
         size = (columns * _FINE, rows * _FINE)
         result: Field = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)

@@ -145,7 +145,7 @@ class SlipStage(Stage):
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        """Return the displacement of the skin since the first frame, here (n, N, 2) mm at points; NaN if unknown."""
+        """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
@@ -209,7 +209,7 @@ class SlipStage(Stage):
             self.results.put(name, values)
 
     def _limit(self) -> float:
-        """Return the displacement, mm, below which skin counts as stuck; NaN if the limit is not known."""
+        """Return the displacement, mm, below which skin counts as stuck; NaN if this limit is unknown."""
         if self._settings.criterion != "border":
             return self._settings.stuck_mm
         return math.nan if self._border is None else self._border.level

@@ -166,7 +166,7 @@ class StuckBorder:
 
 
 class Length:
-    """Criterion of sticking: skin sticks while its displacement is below a fixed length.
+    """Criterion of sticking by a length: skin sticks while displaced by less than a given length.
 
     Args:
         grid: of the contact.

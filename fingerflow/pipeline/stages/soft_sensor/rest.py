@@ -1,4 +1,4 @@
-"""Detection of the frames in which a gel is at rest, from the positions of its markers."""
+"""Detection of the frames in which the gel of a soft sensor is at rest, from the marker positions."""
 
 from typing import NamedTuple
 

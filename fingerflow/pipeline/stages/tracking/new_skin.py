@@ -1,4 +1,4 @@
-"""Detection of skin in contact without tracked points, because it lay outside the seeding region.
+"""Detection of skin in contact that has no tracked points, since the skin lay outside the seeding region.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region

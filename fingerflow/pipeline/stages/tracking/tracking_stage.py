@@ -201,9 +201,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w); return these points or None. `found` (1, N) has earlier
-        points.
-        """
+        """Seed points in new skin of an image (1, 1, h, w); return them or None. `found` (1, N) has earlier points."""
         if self._full:
             return None
         assert self._new_skin is not None
@@ -247,7 +245,7 @@ class TrackingStage(Stage):
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
-        """Return the image with enhanced contrast in which Willemet et al. (2021, figure S3 B) seed points.
+        """Return an image with enhanced contrast for the seeding of points (Willemet et al., 2021, figure S3 B).
 
         It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
         others 0.0282, and as many lie on dust.
