@@ -136,7 +136,7 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the brightness step at the disc edge: relative to the outside, and to its spread along the edge."""
+        """Return the brightness step at the disc edge as a fraction of the outside, and over its spread on the edge."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0

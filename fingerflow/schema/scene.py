@@ -60,7 +60,7 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings [background]: recordings of the empty glass, and of darkness. A soft sensor needs neither."""
+    """Settings [background]: recordings of the empty glass, and without light. A soft sensor needs neither."""
 
     frames: Path | None
     dark: Path | None

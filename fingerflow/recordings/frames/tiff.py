@@ -24,7 +24,7 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a TIFF stack by the tags of the pages; raise FingerflowError unless all pages are equal grey frames.
+    """Open a TIFF stack by the page tags; raise FingerflowError unless all pages are grey frames of one shape and type.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.

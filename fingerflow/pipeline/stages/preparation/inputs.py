@@ -126,7 +126,7 @@ class Inputs:
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
-    """Return frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
+    """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()
     except OSError as error:  # `written_atomically` would report it as an error of the output file
