@@ -1,4 +1,4 @@
-"""Calibration of a rig: millimetres per pixel, and the transform from the topography to the contact view."""
+"""Calibration of a rig: image scale in mm per pixel, and transform from the topography view to the contact view."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,8 +17,8 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibration of a rig: image scale, transforms between the views, and the discs behind them. All pixels are those
-    of a view, (x, y), integers at pixel centres.
+    """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target. All
+    pixels are those of a view, (x, y), integers at pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
     `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
@@ -35,7 +35,7 @@ class Calibration:
 
     @property
     def topography_to_contact(self) -> Array | None:
-        """Return the affine (2, 3) from (x, y, 1) px of the topography view to (x, y) px of the contact view."""
+        """Return the affine map (2, 3) from px (x, y, 1) of the topography view to px (x, y) of the contact view."""
         return None if self.affine is None else self.affine.matrix
 
     def to_toml(self) -> str:
@@ -61,7 +61,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration stored in a file that holds a text of `to_toml`.
+        """Return the calibration stored in a calibration file, whose text `to_toml` produced.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """
@@ -82,7 +82,7 @@ class Calibration:
 
 
 def is_calibration(path: Path) -> bool:
-    """Return True if a file is a valid calibration file."""
+    """Return whether a file is a valid calibration file."""
     try:
         read_calibration(path)
     except CalibrationError:
@@ -95,7 +95,7 @@ def _section(title: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """Format a number, also one of NumPy, or a list of numbers for TOML, at full precision."""
+    """Format a number (Python or NumPy), or a list of numbers, as TOML at full precision."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(_written, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))

@@ -1,4 +1,4 @@
-"""Detection of dark discs in a view, and of the scale ring's hole, at any position and under uneven light."""
+"""Detection of the dark discs of a target, and of the hole of the scale ring, even under uneven light."""
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ LEAST_SIGNIFICANCE = 10.0
 
 
 def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count: int = 3) -> list[Disc]:
-    """Return the dark discs of a view (H, W) by decreasing significance, at most `count` of them.
+    """Return at most `count` dark discs in a view (H, W), the most significant first.
 
     Only the direction of the brightness gradient votes, so a disc in the shade counts as much as one in the light and
     no illumination needs to be divided out. `background`, the view without the target, is therefore not divided by: its
@@ -36,7 +36,7 @@ def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count
 
 
 def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Disc:
-    """Return the hole of the scale ring in a view (H, W): the most significant large dark disc.
+    """Return the hole of the scale ring in a view (H, W), which is the most significant large dark disc.
 
     Its `axis_ratio` shows how obliquely the ring is imaged; its `radius_px` is that of the circle of equal area.
     Raises FingerflowError if there is none; for `background` and other errors see `find_discs`.
@@ -51,7 +51,7 @@ def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Dis
 
 
 def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
-    """Return all discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
+    """Return all dark discs with radii between two fractions of the shorter side of the view; see `find_discs`."""
     image = _checked(view_image, "the view")
     empty = None if background is None else _checked(background, "the background of the view")
     if empty is not None and empty.shape != image.shape:
@@ -92,7 +92,7 @@ def _is_disc(disc: Disc) -> bool:
 
 
 def _is_there(background: Array | None, disc: Disc) -> bool:
-    """Return True if the background image shows a disc of this position and size too; False without a background."""
+    """Return whether the image `background` also shows a disc of equal position and size; False without background."""
     if background is None:
         return False
     same = fit_disc(background, disc.center, disc.radius_px)
@@ -109,7 +109,7 @@ def _distance(disc: Disc, other: Disc) -> float:
 
 
 def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tuple[float, float], float]]:
-    """Return (centre, radius) px of circles whose outside is brighter in most directions, in order of agreement."""
+    """Return circles (centre, radius) px that are darker inside than outside in most directions, the best first."""
     spread = float(np.ptp(image))
     if spread == 0:
         return []
@@ -140,7 +140,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return (agreement, x, y, radius) px of likely circles, by gradient direction, in an image reduced by a factor."""
+    """Return likely circles (agreement, x, y, radius) px in a reduced image, by votes of brightness gradients."""
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)
@@ -165,7 +165,7 @@ def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[
 
 
 def _ring(radius: float) -> tuple[Array, Array]:
-    """Return two filter kernels (x, y) that respond to the edge of a disc: outward unit vectors on a soft ring."""
+    """Return two ring-shaped filter kernels (x, y) that respond to radial gradients at the edge of a disc."""
     width = 0.12 * radius
     reach = int(np.ceil(radius + 3 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Sub-pixel measurement of one dark disc by an ellipse fitted to its edge.
+"""Sub-pixel measurement of a dark disc, by an ellipse fitted to the edge of the disc.
 
 The image is unwrapped along the current ellipse: rows are angles, columns are radii. In the unwrapped image the edge is
 a straight line, so smoothing along and across it does not shift it inwards. Smoothing the image itself would (by
@@ -29,8 +29,8 @@ RAGGEDNESS_HARMONICS = range(3, 9)
 
 @dataclass(frozen=True)
 class Disc:
-    """Measured dark disc of a view, which is imaged as an ellipse. Pixels are those of the view, (x, y), integers at
-    pixel centres.
+    """Dark disc measured in a view, in which the disc appears as an ellipse. Pixels are those of the view, (x, y),
+    integers at pixel centres.
 
     `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
     `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
@@ -50,18 +50,17 @@ class Disc:
 
     @property
     def radius_px(self) -> float:
-        """Return the radius, px, of the circle with the disc's area."""
+        """Return the radius, px, of a circle with the area of the disc."""
         return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
 
     @property
     def axis_ratio(self) -> float:
-        """Return the ratio of the disc's shorter to its longer semi-axis, at most 1."""
+        """Return the ratio of the shorter to the longer semi-axis of the disc."""
         return self.semi_axes_px[1] / self.semi_axes_px[0]
 
 
 def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Disc | None:
-    """Fit an ellipse to the edge of the dark disc in an image (H, W) near a guessed circle, whose centre is in the
-    image.
+    """Fit an ellipse to the edge of a dark disc in an image (H, W), starting from an approximate circle.
 
     Returns None if there is no edge around it, or if the fit diverges from the guess.
     """
@@ -94,7 +93,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 
 class _Unwrapped:
-    """Image unwrapped around an ellipse {p : |inverse (p - middle)| = 1}: grey levels (rays, radii).
+    """Image resampled along rays from the centre of an ellipse, as grey levels (rays, radii).
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
@@ -121,7 +120,7 @@ class _Unwrapped:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return edge positions (N, 2) and angles (N,): on each ray the point of the steepest rise, if there is one."""
+        """Return edge positions (N, 2) and angles (N,): the points of steepest brightness rise along rays."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
@@ -137,7 +136,7 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the disc's contrast (outside - inside) / outside, and its brightness step over the spread of rays."""
+        """Return the brightness step at the disc edge as a fraction of the outside, and over its spread on the edge."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
@@ -155,7 +154,7 @@ class _Unwrapped:
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Fit an ellipse to edge points by robust Gauss-Newton least squares: (middle, inverse, weights), or None."""
+    """Fit an ellipse to edge points by robust Gauss-Newton least squares; None if the fit fails."""
     if len(points) < 12:
         return None
     # Few iterations suffice: the next unwrapping starts from this result.
@@ -177,8 +176,7 @@ def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, A
 
 
 def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array]:
-    """Return signed distances (N,) px of points to the ellipse, to first order (Sampson 1982), and their Jacobian (N,
-    5).
+    """Return signed distances (N,) px of points from an ellipse (Sampson 1982), and the Jacobian (N, 5).
 
     The unknowns are the centre (x, y) and the symmetric inverse shape (xx, xy, yy), which, unlike axes and an angle, is
     regular at a circle.
@@ -201,7 +199,7 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Return the standard deviation (px) of the disc's centre, from the contour's raggedness (RAGGEDNESS_HARMONICS)."""
+    """Return the standard deviation (px) of a fitted disc centre, estimated from the raggedness of the contour."""
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

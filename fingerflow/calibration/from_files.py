@@ -1,4 +1,4 @@
-"""Calibration from image files of the ring and of the disc target, written to a file with an overlay image."""
+"""Calibration from image files of the scale ring and the disc target, stored as a calibration file and an overlay."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,8 +24,7 @@ def calibrate_files(
     output: Path | str = FILE,
     overwrite: bool = False,
 ) -> Calibration:
-    """Determine image scale and view-to-view transform from files, write a calibration file, and draw the result to a
-    PNG beside it.
+    """Determine image scale and view transform from image files; write a calibration file and an overlay image.
 
     Args:
         ring: an image, or a recording whose first frame is used; likewise the other two.

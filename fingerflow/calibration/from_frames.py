@@ -1,4 +1,4 @@
-"""Calibration from one frame of the registration target and one of the scale ring, without manual coordinates."""
+"""Automatic calibration from one frame of the registration target and one frame of the scale ring."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -28,7 +28,7 @@ def calibrate(
     hole_radius_mm: float = 2.75,
     background: ArrayLike | None = None,
 ) -> Calibration:
-    """Compute the calibration from a frame (H, W) of the registration target and one of the scale ring.
+    """Compute the calibration from a frame (H, W) of the registration target and a frame of the scale ring.
 
     `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
     no target (None) and needs the ring alone. `background` is a frame without either. Raises FingerflowError if a view,

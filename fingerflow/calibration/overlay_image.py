@@ -1,4 +1,4 @@
-"""Overlay image for visual inspection of a calibration."""
+"""Overlay image of detected discs on the frames, for visual inspection of a calibration."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ LIGHT_SHARE = 1 / 8
 
 
 def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike | None, ring: ArrayLike) -> None:
-    """Write a PNG with the detected discs and hole drawn over the frames (H, W) of the calibration.
+    """Write a PNG image of the calibration frames (H, W), with the detected discs and the hole drawn over them.
 
     Top: both views of the target with the discs, and the ring with its hole. Bottom: the topography view transformed to
     the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges continue across squares),
@@ -135,7 +135,7 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 
 
 def _visible(image: Array) -> NDArray[np.uint8]:
-    """Return an 8-bit image for display, with uneven light removed on the scale of an eighth of the view."""
+    """Return an 8-bit image for display, from which slow variations of light are removed."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
@@ -145,7 +145,7 @@ def _visible(image: Array) -> NDArray[np.uint8]:
 
 
 def _even(image: Array) -> NDArray[np.uint8]:
-    """Return 8 bits with uniform mean and contrast, so that two views under different lamps can be compared."""
+    """Return an 8-bit image with standardised mean and contrast, so that differently lit views can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     # Applied twice, to remove the remaining slope of the light.
     level = smooth - _blurred_over_light(smooth)

@@ -1,4 +1,4 @@
-"""Registration of the two views: matching of discs between them, and the fitted transform."""
+"""Registration of the two views: matching of discs between the views, and fit of the transform."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
@@ -24,7 +24,7 @@ AMBIGUOUS = 0.5
 
 @dataclass(frozen=True)
 class Transform:
-    """Transform between two views: affine or similarity `matrix` (2, 3) float64 from (x, y, 1) px to (x, y) px.
+    """Transform between two views: affine or similarity `matrix` (2, 3) from px (x, y, 1) to px (x, y).
 
     `residuals_px` (N, 2) are found minus transformed.
     """
@@ -34,13 +34,12 @@ class Transform:
 
     @property
     def rms_px(self) -> float:
-        """Return the root mean square length of the residuals, px."""
+        """Return the root mean square (RMS) length of the residuals of the transform, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 
 def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc, Disc]]:
-    """Match three discs of one view to the same discs of another; return the pairs, largest first, then clockwise (y
-    down).
+    """Match three discs of one view to three discs of another; return the pairs, largest disc first, then clockwise.
 
     The labels follow from the shape alone. Of all pairs of triangles, the pair is chosen that agrees best up to a
     similarity, in the positions and sizes of the discs, weighted by their significance. Raises FingerflowError if there
@@ -57,7 +56,7 @@ def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc
 
 
 def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """Fit the affine transform between two lists of points (N, 2) px: exact for three points, least squares for more.
+    """Fit an affine transform between two lists of points (N, 2) px, by least squares; exact for three points.
 
     Raises FingerflowError for fewer than three points, or points on a line.
     """
@@ -70,7 +69,8 @@ def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
 
 
 def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
-    """Fit rotation, scale and shift between two lists of points (N, 2) px by least squares; never a reflection.
+    """Fit a similarity (rotation, scale and shift, no reflection) between two lists of points (N, 2) px by least
+    squares.
 
     With z and w the centred points as complex numbers it is w = s z, s = sum(conj(z) w) / sum(|z|^2).
     Raises FingerflowError for fewer than two points, or points that coincide.
@@ -100,14 +100,14 @@ def _transform(linear: Array, source: Array, target: Array) -> Transform:
 
 
 def _centered_complex(points: Array) -> NDArray[np.complex128]:
-    """Return points (..., N, 2) less their mean, as complex numbers x + iy (..., N)."""
+    """Return points (..., N, 2) as complex numbers x + iy (..., N), with the mean subtracted."""
     centered = points - points.mean(axis=-2, keepdims=True)
     result: NDArray[np.complex128] = centered[..., 0] + 1j * centered[..., 1]
     return result
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
-    """Return those triples of discs (T, 3) that are not collinear; raise FingerflowError if there are none."""
+    """Return all triples of discs (T, 3) that form triangles; raise FingerflowError if all are collinear."""
     indices = np.array(triples)
     corners = np.array([disc.center for disc in discs])[indices]
     sides = np.roll(corners, -1, axis=1) - corners

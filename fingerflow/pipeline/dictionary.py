@@ -7,7 +7,7 @@ from fingerflow.schema.variables import STREAM
 
 
 class DictionaryEntry(NamedTuple):
-    """Description of one result variable.
+    """Entry of the dictionary: unit, definition, equation and stage of one result variable.
 
     Attributes:
         units: of the data set; ``shown_unit`` that of figures, reports and pages, "" if dimensionless.
@@ -29,7 +29,7 @@ class DictionaryEntry(NamedTuple):
     flags: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return the description of the variable in three or four lines of plain text."""
+        """Return a description of the variable in three or four lines of plain text."""
         asked = "" if self.unasked else ", only where it is named"
         shown = "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
         lines = [

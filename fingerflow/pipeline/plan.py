@@ -1,4 +1,4 @@
-"""Plan of a run: the stages that the requested outputs need, in order."""
+"""Plan of a run: the ordered stages that are needed for the requested outputs."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -27,18 +27,18 @@ _REMEDIES = {
 
 
 class Plan(NamedTuple):
-    """Plan of a run: stages in the order of their dependencies, and names of requested optional variables."""
+    """Plan of a run: stages sorted by dependency, and names of requested optional variables."""
 
     stages: tuple[type[Stage], ...]
     asked: frozenset[str]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the planned stages in order."""
+        """Return the names of the planned stages, in the order in which the stages run."""
         return tuple(stage.name for stage in self.stages)
 
     def passes(self) -> list[list[type[Stage]]]:
-        """Return the planned stages grouped by passes over the frames.
+        """Return the planned stages as a list of groups, each of which is run in one pass over the frames.
 
         Stages of one pass depend on each other only through their steps (`Stage.beside`); a stage in `Stage.after`
         belongs to an earlier pass.
@@ -54,7 +54,7 @@ class Plan(NamedTuple):
 
 
 def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
-    """Plan a run: return the stages for the requested outputs, and the stages that these depend on.
+    """Return the plan of a run: the stages for the requested outputs, and all stages on which these depend.
 
     None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
     output that does not exist or that the scene cannot give.
@@ -103,7 +103,7 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
 
 
 def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
-    """Return the keys that a stage and its dependencies need, and that the scene does not set.
+    """Return the scene keys that are missing for a stage, or for one of the stages on which the stage depends.
 
     `at` maps `Stage.place` to the implementation that is used.
     """

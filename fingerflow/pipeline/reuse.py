@@ -45,7 +45,7 @@ _SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """Cache key of a stage: a digest of everything that its results depend on, and the values of its settings.
+    """Cache key of a stage: a digest of everything that determines the results, and the values of the settings used.
 
     Attributes:
         digest: of all of it.
@@ -57,7 +57,7 @@ class StageKey(NamedTuple):
 
 
 class Reused(NamedTuple):
-    """Outcome of the comparison with an earlier result: stages whose results remain valid, and reasons for the others.
+    """Outcome of comparing a plan with an earlier result: stages to reuse, and why each other stage is computed.
 
     Attributes:
         earlier: the earlier result, open.
@@ -77,14 +77,14 @@ class Reused(NamedTuple):
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 
     def said(self) -> str:
-        """Return which stages were reused, and why the others were not, as JSON for an attribute of the result."""
+        """Return as JSON which stages were reused, and why each other stage was computed."""
         names = sorted(stage.name for stage in self.stages)
         computed = {stage.name: why for stage, why in self.computed.items()}
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache key of each stage of a plan, by `Stage.place`.
+    """Return a mapping from the class of each planned stage (`Stage.place`) to the stage's cache key.
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -111,7 +111,7 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
 def record(
     plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
 ) -> str:
-    """Return key, computed variables and warnings of each stage as JSON, which `reused` reads from a result."""
+    """Return cache key, variable names and warnings of each stage as JSON, which the result stores for later reuse."""
     return json.dumps(
         {
             kind.name: {
@@ -125,7 +125,7 @@ def record(
 
 
 def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], StageKey], inputs: Inputs) -> Reused:
-    """Compare a plan with an earlier result: which stages need not run because their results there are still valid.
+    """Compare a plan with an earlier result, and return which stages can be copied from it instead of run again.
 
     Raises FingerflowError where the result is of another recording, or of other frames of it.
     """
@@ -158,7 +158,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _why_not(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return why the earlier results of a stage are not valid, or "" if they are."""
+    """Return the reason why the earlier results of a stage cannot be reused, or "" for reusable results."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
@@ -182,7 +182,7 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield a dotted key of the scene, or all keys below a table, with their values; a file gives a content digest."""
+    """Yield (dotted key, value) of a scene key, or of all keys of a table; files are represented by a digest."""
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return
@@ -210,7 +210,7 @@ def _content(file: Path) -> str:
 
 @cache
 def code_version() -> str:
-    """Return the version with a digest of all source code and compiled kernels that results depend on."""
+    """Return the package version and a digest of all source code and compiled kernels that affect results."""
     package = Path(__file__).parents[1]
     files = [file for room in _CODE for file in (package / room).rglob("*.py")]
     files += package.glob("_kernels*")

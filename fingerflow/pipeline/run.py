@@ -52,7 +52,7 @@ def process(
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> xr.Dataset:
-    """Compute the requested `outputs` of a scene, running only the stages that these need.
+    """Compute the requested `outputs` of a scene, running only the stages needed for these outputs.
 
     Args:
         scene: from :func:`~fingerflow.schema.scene.load_scene`, or the path of its file.
@@ -93,7 +93,7 @@ def process_together(
     to: Sequence[str | Path] | None = None,
     overwrite: bool = False,
 ) -> list[xr.Dataset]:
-    """Compute several recordings in turns, so that engine calls are batched, and return their results.
+    """Process several recordings concurrently, so that engine calls are batched, and return their results.
 
     Simultaneous calls of the torch engine are batched into one where views have the same size and settings are the
     same. On an accelerator, a call with a few hundred points takes as long as launching its kernels; batching launches
@@ -124,7 +124,7 @@ def process_together(
 
 
 def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
-    """Run several `steps_to` generators together (`engines.together.run_together`) and return their results."""
+    """Run several generators made by `steps_to` concurrently (`engines.together`), and return their results."""
     with torch.inference_mode():  # around all of them: leaving it in one would end it for the others
         return run_together(many)
 
@@ -140,7 +140,7 @@ def steps_to(
     progress: bool = False,
     ahead: bool = False,
 ) -> Steps[None]:
-    """Return `process` of one recording into a file as a generator; `run_steps` runs several of them together.
+    """Return a generator that processes one recording into a file; `run_steps` runs several generators concurrently.
 
     With `ahead`, the stages before the last one process the next batch in a second thread. Recordings computed together
     do not use it, as the others would wait for that thread.
@@ -157,7 +157,7 @@ def steps_to(
 
 @dataclass(frozen=True)
 class _Way:
-    """Options of a run: progress bar, processing one batch ahead in a second thread, earlier result to reuse."""
+    """Options of a run: show a progress bar, prepare the next batch in a second thread, reuse an earlier result."""
 
     progress: bool = False
     ahead: bool = False
@@ -176,7 +176,7 @@ def _in_memory(
 
 @dataclass(frozen=True)
 class _Ready:
-    """Scene that is ready to run: plan, opened inputs, ONNX runtime, size of results in bytes, and variables."""
+    """Scene prepared for a run: plan, opened inputs, ONNX runtime, result size in bytes, and variable definitions."""
 
     plan: Plan
     inputs: Inputs
@@ -186,7 +186,7 @@ class _Ready:
 
     @property
     def engine(self) -> str:
-        """Return the name of the engine that the result states."""
+        """Return the name of the engine, as stored in the result."""
         return self.inputs.engine.name if self.runtime is None else "onnx"
 
 
@@ -203,7 +203,7 @@ def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: 
 
 
 def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
-    """Run all passes of the plan and write results into the store; valid stages are copied from an earlier result."""
+    """Run all passes of the plan and write the results to the store; reusable stages are copied, not run."""
     wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
@@ -256,7 +256,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
 
 
 def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _Way) -> Steps[None]:
-    """Run one pass over the frames: begin the stages, step them batch by batch, and finish them."""
+    """Run the stages of one pass: begin each stage, process all batches of frames, and finish each stage."""
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
@@ -279,7 +279,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
     *early, last = stages
 
     def begin(indices: np.ndarray) -> Steps[Batch]:
-        """Read one batch of frames and run all stages on it except the last one.
+        """Read one batch of frames and run every stage on it except the last stage.
 
         The last stage may still process the batch before.
         """
@@ -331,7 +331,7 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
 
 
 def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
-    """Yield `act(item)` for each item, like `map`; the next result is computed in a second thread meanwhile.
+    """Yield `act(item)` for each item, like `map`, while a second thread computes the result for the next item.
 
     Closing the generator waits for the running computation.
     """

@@ -1,4 +1,4 @@
-"""Readers of recordings and force files, one module per format, behind `open_recording` and `open_forces`.
+"""Readers of recordings and force files, one module per file format; entry points `open_recording`, `open_forces`.
 
 Names are loaded on first use: code that reads only frames needs no library for forces, such as SciPy.
 """

@@ -1,4 +1,4 @@
-"""Short digests that identify content of files and settings."""
+"""Short digests (hashes) that identify the content of files and settings."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def digest_of(*parts: Any) -> str:
-    """Return a digest of 16 hexadecimal digits of values that JSON can represent."""
+    """Return a digest (16 hexadecimal digits) of values that JSON can represent."""
     return digest_of_bytes([json.dumps(parts, sort_keys=True).encode()])
 
 

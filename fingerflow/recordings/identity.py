@@ -1,4 +1,4 @@
-"""Text that identifies a recording, and differs for another recording of the same length and image size."""
+"""Text that identifies a recording, and distinguishes it from others of equal length and image size."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from fingerflow.recordings.frames.recording import Recording
 
 
 def identity_of(recording: Recording) -> str:
-    """Return number, size and type of the frames and a digest of the first frame, whose camera noise is unique.
+    """Return a text with number, size and type of the frames, and a digest of the first frame.
 
     No other frame is read, because in a video that may take as long as reading all of them.
     """

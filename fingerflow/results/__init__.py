@@ -1,1 +1,1 @@
-"""Results in memory, in files that grow frame by frame, in folders of a stream, and as tables for other programs."""
+"""Storage and export of results: in memory, in HDF5 files, in folders of a stream, and as tables for other programs."""

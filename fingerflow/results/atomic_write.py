@@ -1,4 +1,4 @@
-"""Atomic writing of files, and protection of inputs and foreign files from being replaced."""
+"""Atomic writing of output files, and protection of inputs and unrelated files from being overwritten."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Check that an output path is not one of the inputs of a command.
+    """Check that writing an output spares the input files of a command: none of them may be overwritten.
 
     Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
@@ -39,7 +39,7 @@ def spare(output: Path, *inputs: Path | None) -> None:
 
 
 def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
-    """Check that an output replaces no file that this command has not written.
+    """Check that an output path does not overwrite a file that another program has written.
 
     Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
     """
@@ -51,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether the first or last MiB of a file, where HTML, PNG and MP4 hold metadata, contains the `MARK`."""
+    """Return whether a file contains the `MARK` of this package in the first or last MiB, where metadata is stored."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)
@@ -62,7 +62,7 @@ def is_marked(path: Path) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Call ``write`` with a temporary path in the same folder, then rename it.
+    """Call ``write`` with a temporary path in the folder of the output, then rename the temporary file to the output.
 
     Neither a crash nor a loss of power leaves a half-written file: its content is on the disk before it has its name.
 
@@ -74,7 +74,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 @contextmanager
 def written_atomically(path: Path) -> Iterator[Path]:
-    """Yield a temporary path that is renamed to `path` when the context ends, as in `write_atomically`."""
+    """Yield a temporary path and rename it to `path` when the context ends, as `write_atomically` does."""
     part: Path | None = None
     try:
         if not path.name or path.is_dir():

@@ -1,4 +1,4 @@
-"""Standard deviations in a result: set to NaN where residuals cannot show the position errors, as with lossy video."""
+"""Standard deviations in a result, which are set to NaN if lossy video coding hides the position errors."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ _AT_ONCE = 64  # frames
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """Return result variables; with a codec that hides errors, definitions of deviations say that these are not known.
+    """Return variable definitions, which state that standard deviations are unknown if a lossy codec hides errors.
 
     A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
     residuals nor scatter show them, so a deviation cannot be widened to include them. On the press as H.264, 22 to 34 %
@@ -37,7 +37,7 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
 
 
 def withhold(store: Store, known: Mapping[str, Variable]) -> None:
-    """Set standard deviations to NaN in a result, except those of positions, which later computations need."""
+    """Set all standard deviations of a result to NaN, except those of positions, which later computations need."""
     for name in _withheld(known):
         if name in store:
             values = store[name]

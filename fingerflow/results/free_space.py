@@ -1,4 +1,4 @@
-"""Check that results fit in memory or on disk before they are written: HDF5 ends the process when a disk is full."""
+"""Checks that results fit in memory or on disk before they are written, since HDF5 ends the process on a full disk."""
 
 import shutil
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ _GB = 1e9
 
 
 def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
-    """Return the size in bytes that variables of a result take in memory, if all requested points are found.
+    """Return the memory size of result variables in bytes, if as many points are found as requested.
 
     There are two triangles per point; the regions of cells are neglected.
     """
@@ -33,7 +33,7 @@ def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> 
 
 
 def check_memory(needed: float) -> None:
-    """Raise NoRoomError where `needed` bytes of results do not fit in memory."""
+    """Raise NoRoomError if `needed` bytes of results do not fit in memory."""
     free = psutil.virtual_memory().available
     if needed > free:
         raise NoRoomError(
@@ -43,12 +43,12 @@ def check_memory(needed: float) -> None:
 
 
 def check_disk(path: Path, holds: float) -> None:
-    """Raise NoRoomError where a result file with `holds` bytes of content cannot fit on its disk."""
+    """Raise NoRoomError if the disk lacks space for a result file with `holds` bytes of uncompressed content."""
     _check_free(path, _COMPRESSED * holds)
 
 
 def check_write(path: Path, bytes_more: int) -> None:
-    """Raise NoRoomError where the disk lacks space for `bytes_more` bytes and for data that HDF5 still buffers."""
+    """Raise NoRoomError if the disk lacks space for `bytes_more` bytes plus the data that HDF5 still buffers."""
     _check_free(path, bytes_more + _LEFT_BYTES)
 
 

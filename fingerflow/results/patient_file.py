@@ -1,4 +1,4 @@
-"""File writer that buffers data in memory while the disk is full."""
+"""Writer of a file that buffers data in memory while the disk is full, instead of failing at once."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 30
 
 
 class Refusal(NamedTuple):
-    """Record of a past period in which the disk was full."""
+    """Period in which the full disk refused data: duration, and largest amount of data buffered."""
 
     seconds: float
     kept: int  # bytes, largest amount buffered
 
 
 class PatientFile:
-    """Writer that appends to an existing file; while the disk is full it buffers data in memory and retries each
+    """Writer that appends to a file; while the disk is full, data is buffered in memory and writing is retried each
     second.
 
     Nothing is lost if space is freed within half a minute; after that, `flush` raises the error of the disk. `flush`
@@ -48,17 +48,17 @@ class PatientFile:
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        """Return the number of buffered bytes, which are not in the file yet."""
+        """Return the number of bytes that are buffered in memory but not written to the file yet."""
         return len(self._kept)
 
     def write(self, data: bytes | memoryview) -> None:
-        """Add bytes to the buffer; `flush` writes them to the file."""
+        """Add bytes to the buffer, which `flush` writes to the file."""
         with self._lock:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write the buffer to the file. After a period with a full disk, return once how long it lasted; otherwise
-        None.
+        """Write all buffered bytes to the file. After a period with a full disk, return once how long it lasted;
+        otherwise None.
 
         Args:
             wait: wait for room where there is none.
@@ -83,15 +83,15 @@ class PatientFile:
             time.sleep(_AGAIN)  # without the lock: other threads go on writing
 
     def sync(self) -> None:
-        """Wait until all written data are on the disk."""
+        """Wait until the disk holds all data written to the file."""
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Close the file; data that `flush` could not write are lost."""
+        """Close the file, which discards data that `flush` could not write."""
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raise the error of a write, unless it is a full disk that has been full for less than half a minute."""
+        """Raise a write error, except for a disk that has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

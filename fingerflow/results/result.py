@@ -1,4 +1,4 @@
-"""Reading and writing of result files in HDF5/NetCDF4."""
+"""Reading and writing of result files in HDF5/NetCDF4 format."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -24,7 +24,7 @@ MARK = "fingerflow_version"  # attribute that identifies a result
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
-    """Write a result as HDF5/NetCDF4; the file appears only when it is complete.
+    """Write a result to an HDF5/NetCDF4 file, which appears under the final name only when complete.
 
     Raises FingerflowError where it cannot be written, for example if the disk has less free space than the result takes
     in memory, and without `overwrite` where the path is an existing file that is no result.
@@ -36,7 +36,7 @@ def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None
 
 
 def load_result(path: Path) -> xr.Dataset:
-    """Read a result file that :func:`save_result` or `process` wrote.
+    """Read a result file, written by :func:`save_result` or `process`, completely into memory.
 
     Raises FingerflowError where the file is missing or is something else.
     """
@@ -54,21 +54,21 @@ def is_result(path: Path) -> bool:
 
 
 def open_result(path: Path) -> xr.Dataset:
-    """Open a result file as :func:`load_result` does, but read values on access; close the data set when done."""
+    """Open a result file without loading values, which are read on access; close the data set after use."""
     check_file(path)
     check_in_child_process(path, "hdf5")
     return open_own(path)
 
 
 class StoredValues(NamedTuple):
-    """Values of a variable in a result file, and its attributes if they were requested."""
+    """Values of one variable in a result file, with the attributes of the variable if requested."""
 
     values: NDArray[Any]
     attrs: Mapping[str, Any]
 
 
 class Own(dict[str, StoredValues]):
-    """Variables of a result file that this process wrote, by name, with the attributes of the file."""
+    """Variables by name, and attributes, of a result file that this process itself wrote."""
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
@@ -76,7 +76,7 @@ class Own(dict[str, StoredValues]):
 
 
 def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
-    """Read variables and attributes of a result that this process has just written; missing variables are left out.
+    """Read named variables from a result file that this process itself wrote; missing variables are left out.
 
     Attributes are read only of the variables named in `described`. Values and texts are those of :func:`load_result`,
     which opens every variable of the file first; for a small recording that takes longer than a stage.
@@ -89,7 +89,7 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
 
 
 def open_own(path: Path) -> xr.Dataset:
-    """Open a result file that this process has just written: :func:`open_result` without the checks for damage."""
+    """Open a result file that this process itself wrote, without the checks for damage of :func:`open_result`."""
     try:
         result = xr.open_dataset(path, engine="h5netcdf")
     except Exception as error:  # a damaged file may raise any exception
@@ -110,7 +110,7 @@ def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
 
 
 def scene_of(path: Path) -> Path:
-    """Return the path of the scene file from which a result was computed.
+    """Return the path of the scene file of a result.
 
     Raises FingerflowError where the file is no result, or its scene file does not exist any more.
     """

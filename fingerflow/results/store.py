@@ -1,4 +1,4 @@
-"""Storage of results during a run: arrays by variable, in memory or in a file that grows frame by frame."""
+"""Storage of result variables during a run: in memory, or in a file that grows frame by frame."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more point
 
 
 class Values(Protocol):
-    """Array of a variable, indexed along its first dimension (mostly frames) by a slice or consecutive numbers."""
+    """Interface of the array of a variable, indexed along the first axis by a slice or by consecutive numbers."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -40,20 +40,20 @@ class Values(Protocol):
 
 
 class Store(ABC):
-    """Container of the variables of a run, which the stages write and read.
+    """Container of result variables during a run, which pipeline stages write to and read from.
 
     A variable is created once, when the sizes of its dimensions are known, and then filled frame by frame. Values that
     are not written yet are NaN, or 0 for integers.
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Prepare a store for a number of `frames`, into which only variables named in `known` may be written."""
+        """Prepare an empty store for a number of `frames`, in which only variables named in `known` may be created."""
         self._known = known
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
 
     def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
-        """Create an empty variable and return its array; `sizes` gives the sizes of new dimensions."""
+        """Create an empty variable in the store and return the array; `sizes` gives the sizes of new dimensions."""
         self._sizes.update(sizes)
         variable = self._known[name]
         of_it = {**variable.attributes(), **(attributes or {})}
@@ -65,7 +65,7 @@ class Store(ABC):
         self.create(name, attributes, **sizes)[:] = values
 
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
-        """Extend a dimension of all variables that have it; new elements are empty, or have the value in `fills`."""
+        """Enlarge the dimension `dim` of all variables; new elements take the value in `fills`, else the fill value."""
         before, self._sizes[dim] = self._sizes[dim], size
         for name in list(self._values):
             if dim in self._known[name].dims:
@@ -85,15 +85,15 @@ class Store(ABC):
 
     @abstractmethod
     def check_room(self, needed: float) -> None:
-        """Raise NoRoomError where another `needed` bytes of results do not fit into memory or on the disk."""
+        """Raise NoRoomError if `needed` more bytes of results do not fit into memory or on the disk."""
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Add coordinates and global attributes to the results; nothing may be written afterwards."""
+        """Complete the results by coordinates and global attributes, after which nothing may be written."""
 
 
 class MemoryStore(Store):
-    """Store that keeps all variables in memory; `finish` puts them into `dataset`."""
+    """Store that keeps all variables in memory, and collects them in the data set `dataset` at the end."""
 
     dataset: xr.Dataset
 
@@ -125,7 +125,7 @@ class MemoryStore(Store):
 
 
 class FileStore(Store):
-    """Store that writes variables to an HDF5/NetCDF4 file; its memory use does not grow with the number of frames.
+    """Store that writes variables to an HDF5/NetCDF4 file, so that memory use does not grow with the number of frames.
 
     Dimension scales of NetCDF-4 are written in `finish`: attaching them with each variable takes longer than writing
     the numbers of a small recording.
@@ -225,19 +225,19 @@ class FileStore(Store):
 
 
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
-    """Write attributes of a variable or file in the NetCDF form: texts, and arrays of numbers."""
+    """Write attributes of a variable or file in NetCDF form, as texts or arrays of numbers."""
     for name, value in attributes.items():
         stored.attrs[name] = value if isinstance(value, (str, np.generic)) else np.atleast_1d(value)
 
 
 class _Stored:
-    """Array of a variable in an HDF5 file, read and written by consecutive frames, ascending or descending."""
+    """Array of a variable in an HDF5 file, read and written in ascending or descending runs of frames."""
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._variable, self._path, self.shape = variable, path, tuple(variable.shape)
 
     def resize(self, size: int, axis: int) -> None:
-        """Change the length of one axis of the array."""
+        """Change the length of an axis of the array."""
         self._variable.resize(size, axis)
         self.shape = tuple(self._variable.shape)
 
@@ -258,7 +258,7 @@ class _Stored:
             self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))
 
     def _consecutive(self, index: Any) -> tuple[slice, int]:
-        """Convert consecutive frame numbers to an ascending slice, and a step of 1, or -1 if they descend."""
+        """Convert consecutive frame numbers to an ascending slice, and a step: 1 if ascending, -1 if descending."""
         numbers = range(self.shape[0])[index] if isinstance(index, slice) else np.asarray(index, dtype=int).tolist()
         if not len(numbers):
             return slice(0, 0), 1
@@ -272,5 +272,5 @@ class _Stored:
 
 
 def _fill(variable: Variable) -> tuple[float, str]:
-    """Return the fill value for elements of a variable that are not written yet, and its data type."""
+    """Return fill value and data type for array elements of a variable that are not written yet."""
     return (np.nan if variable.kind.startswith("f") else 0), variable.kind

@@ -1,4 +1,4 @@
-"""Results folder of a stream: format, reading and writing."""
+"""Results folder of a stream: file format, reader and writer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the p
 
 
 class StreamResults(NamedTuple):
-    """Content of a stream's results folder: one record per processed frame, the header, and the events."""
+    """Content of the results folder of a stream: header, one record per processed frame, and events."""
 
     records: Array
     header: dict[str, Any]
@@ -36,7 +36,7 @@ class StreamResults(NamedTuple):
 
 
 def read_results(folder: str | Path) -> StreamResults:
-    """Read all complete records of a stream's results folder; its writer may still be running or have been killed.
+    """Read all complete records in the results folder of a stream, even while the writer is still running.
 
     ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
     ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
@@ -65,7 +65,7 @@ def read_results(folder: str | Path) -> StreamResults:
 
 
 def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
-    """Write a CSV table of a stream's results with one row per frame: scalars and components of vectors.
+    """Write a CSV table of the results of a stream: one row per frame, with scalars and components of vectors.
 
     Columns are named as by `fingerflow export-table`. Raises PlayerError where the file cannot be written, or exists
     without `overwrite`.
@@ -98,7 +98,7 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
 
 
 class Sink:
-    """Writer of a stream's results folder; a killed process loses at most the records of the last second.
+    """Writer of the results folder of a stream; a killed process loses at most the last second.
 
     header.json describes a record, records.bin holds the records one after another, and events.jsonl the events with
     their times. While the disk is full, records are buffered in memory for half a minute (`PatientFile`); the event
@@ -117,7 +117,7 @@ class Sink:
         self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
-        """Create the results folder completely or not at all; raise PlayerError if it exists or cannot be made."""
+        """Create the results folder with all files, or raise PlayerError and create nothing."""
         with self._said():
             self._make()
         self._made = True
@@ -129,7 +129,7 @@ class Sink:
             raise
 
     def discard(self) -> None:
-        """Remove the results folder that `open` created, for a stream that received no frame."""
+        """Delete the results folder created by `open`, if a stream received no frame."""
         for name in ("header.json", "events.jsonl", "records.bin") if self._made else ():
             with contextlib.suppress(OSError):
                 (self.folder / name).unlink()
@@ -138,7 +138,7 @@ class Sink:
                 self.folder.rmdir()
 
     def _make(self) -> None:
-        """Create the results folder together with its header file.
+        """Create the results folder with the header file in it.
 
         If another stream began in the same second, a number is appended to the name, but only with `numbered`.
         """
@@ -173,7 +173,7 @@ class Sink:
         self._records = PatientFile(self.folder / "records.bin")
 
     def write(self, record: Array, frame: int) -> None:
-        """Append the record of a frame; once a second all records are flushed to the disk."""
+        """Append the record of one frame to the results folder; records are flushed to the disk once a second."""
         assert self._records is not None
         self._frame = frame
         self._records.write(record.data)
@@ -190,7 +190,7 @@ class Sink:
             self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
-        """Append an event of the stream as one line of events.jsonl; may be called from any thread."""
+        """Append one event of the stream to events.jsonl as one line; any thread may call this."""
         assert self._events is not None
         line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
         with self._said():
@@ -198,7 +198,7 @@ class Sink:
             self._events.flush()
 
     def close(self) -> None:
-        """Write buffered records to the disk and close the files. Raises PlayerError where that fails."""
+        """Write all buffered records to the disk and close all files. Raises PlayerError where that fails."""
         if self._records is None or self._events is None:
             return
         with self._said():

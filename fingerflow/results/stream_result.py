@@ -1,4 +1,4 @@
-"""Conversion of a stream's results folder to a labelled data set like that of `process`."""
+"""Conversion of the results folder of a stream to a labelled data set, as `process` returns."""
 
 import json
 from pathlib import Path
@@ -56,7 +56,7 @@ def _labelled(results: StreamResults) -> xr.Dataset:
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
-    """Return the variables stored in the records of a stream, and variables derived from them."""
+    """Return all variables recorded in a stream, and further variables derived from them, by name."""
     records, header = results.records, results.header
     points = max(chosen, default=0)
     found: dict[str, Array] = {}
@@ -86,7 +86,7 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
 
 
 def _medians(values: Array) -> Array:
-    """Return the median (F,) over the finite values in each row of values (F, N); NaN for rows without any."""
+    """Return the median (F,) of the finite values in each row of an array (F, N); NaN for a row without any."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 

@@ -1,1 +1,1 @@
-"""Definitions of scene files and result variables as data, for the package and the player of a deployment bundle."""
+"""Definitions of scene files and result variables, shared by the package and the player of a deployment bundle."""

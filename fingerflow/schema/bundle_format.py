@@ -1,4 +1,4 @@
-"""Version number and coordinate convention stated in every file of a deployment bundle and of a recorded stream."""
+"""Format version and coordinate convention stated in every file of a deployment bundle and of a recorded stream."""
 
 BUNDLE_FORMAT = 6  # increased whenever a player of another version cannot play a bundle
 COORDINATES = (

@@ -1,4 +1,4 @@
-"""Calibration file of a rig, as written by `fingerflow calibrate`, read into plain numbers."""
+"""Reader of the calibration file of a rig, which `fingerflow calibrate` writes, into plain numbers."""
 
 import math
 import tomllib
@@ -13,11 +13,11 @@ _REMEDY = "Write it anew with `fingerflow calibrate`"
 
 
 class CalibrationError(Exception):
-    """Error in a calibration file: which file, what is wrong in it, and what to do."""
+    """Error in a calibration file; the message names the file, the problem and the remedy."""
 
 
 class TransformRows(NamedTuple):
-    """Transform between the two views in a calibration file: its matrix rows and its residuals.
+    """Transform between the two views as stored in a calibration file: matrix rows and residuals.
 
     Attributes:
         matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
@@ -29,7 +29,7 @@ class TransformRows(NamedTuple):
 
 
 class CalibrationFile(NamedTuple):
-    """Content of a calibration file.
+    """Content of a calibration file in plain numbers: image scale, transforms and discs.
 
     Pixels are those of a view. `views` holds half-open ranges of rows and columns of a frame.
     """
@@ -52,7 +52,7 @@ class CalibrationFile(NamedTuple):
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Return the content of a calibration file.
+    """Read a calibration file and return the content in plain numbers.
 
     Raises CalibrationError where the file cannot be read, lacks an entry, or holds an invalid scale or transform.
     """
@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
-    """Return a range of pixels as integers [first, end) with 0 <= first < end; raise ValueError for any other value."""
+    """Return a range of pixels as integers [first, end) with 0 <= first < end; raise ValueError if it is not one."""
     try:
         first, end = (int(value) for value in values)
         whole = (first, end) == tuple(values)
@@ -104,7 +104,7 @@ def pixel_range(name: str, values: Any) -> Pixels:
 
 
 def can_be_undone(matrix: tuple[tuple[float, ...], ...], least: float = 0.0) -> bool:
-    """Return whether the 2 x 2 part of a (2, 3) transform is invertible: its absolute determinant exceeds `least`."""
+    """Return whether a (2, 3) transform can be inverted: the absolute determinant of the 2 x 2 part exceeds `least`."""
     (a, b, _), (c, d, _) = matrix
     return abs(a * d - b * c) > least
 
@@ -130,7 +130,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 def _number(value: Any) -> float:
-    """Check that a value is a number and return it unchanged; raise TypeError for any other value."""
+    """Return a value unchanged if it is a number; raise TypeError otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is no number")
     return value

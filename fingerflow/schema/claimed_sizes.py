@@ -1,4 +1,4 @@
-"""Reading of the sizes that image and array files claim in headers, before a library allocates memory for them."""
+"""Check of the sizes that headers of image and array files claim, before a library allocates memory for them."""
 
 import struct
 
@@ -14,7 +14,8 @@ _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
 
 
 def impossible_picture(data: bytes | memoryview) -> str:
-    """Return why the header of a PNG, JPEG or BMP file contradicts the rest of the file, or "" if they agree.
+    """Return why the sizes claimed in a PNG, JPEG or BMP file are impossible for a file of this length, or "" if
+    possible.
 
     The text continues a sentence that begins with the name of the file.
     """
@@ -31,7 +32,7 @@ def impossible_picture(data: bytes | memoryview) -> str:
 
 
 def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
-    """Return (height, width) from the header of a PNG, JPEG or BMP file; None without such a header."""
+    """Return the image size (height, width) in the header of a PNG, JPEG or BMP file; None without such a header."""
     if data[:8] == _PNG and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return height, width
@@ -45,7 +46,7 @@ def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
 
 
 def npy_header_bytes(start: bytes) -> int:
-    """Return the length in bytes of the header of a NumPy file from its first 12 bytes; 0 if it is not a NumPy file."""
+    """Return the header length in bytes of a NumPy file, given the first 12 bytes; 0 for any other file."""
     if start[:6] != b"\x93NUMPY" or len(start) < 12:
         return 0
     return int.from_bytes(start[8:10] if start[6] == 1 else start[8:12], "little")

@@ -1,4 +1,4 @@
-"""Values in the types of JSON."""
+"""Conversion of Python values to JSON types."""
 
 import math
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def json_value(value: Any) -> Any:
-    """Return a value, data class or NumPy array in JSON types; NaN and infinity become None."""
+    """Convert a value, data class or NumPy array to JSON types, with None in place of NaN and infinity."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if hasattr(value, "tolist"):  # of NumPy

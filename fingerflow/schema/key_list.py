@@ -1,4 +1,4 @@
-"""List of all keys of scene files, with type, default and meaning as text."""
+"""List of all keys of scene files as text: type, default and meaning of each key."""
 
 import json
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from fingerflow.schema.scene_kinds import KINDS
 
 
 class ListedKey(NamedTuple):
-    """Description of one key of scene files as text; ``name`` is its dotted path, ``default`` is JSON or ""."""
+    """Text description of one key of scene files: dotted path, type, default and meaning."""
 
     name: str
     type: str
@@ -38,14 +38,14 @@ class ListedKey(NamedTuple):
     help: str
 
     def __str__(self) -> str:
-        """Return the description of the key in two lines of plain text."""
+        """Return the description of the key as two lines of plain text."""
         needed = f", needed by {self.needed_by}" if self.needed_by else ""
         default = f", default {self.default}" if self.default else ""
         return f"{self.name}  {self.type}{default}{needed}\n    {self.help}"
 
 
 def key_list() -> list[ListedKey]:
-    """Return every key of scene files: those of a scene of the kind "press", which has all tables."""
+    """Return descriptions of all keys of scene files, in the order of the kind "press", which has all tables."""
     tables = {"views": views_of(KINDS["press"]), **SCENE}
     return [key for name, table in tables.items() for key in _keys(table, name)]
 
@@ -72,7 +72,7 @@ _PLAIN: dict[type, str] = {
 
 
 def _words(of: Any) -> str:
-    """Return the type of a key and its range in words, such as "odd whole number ≥ 3"."""
+    """Return the type and range of a key in words, such as "odd whole number ≥ 3"."""
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:

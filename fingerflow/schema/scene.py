@@ -17,7 +17,7 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings [recording]: file of frames, frame rate, trigger frame, and range of frames used, numbered from 0."""
+    """Settings [recording]: file with the frames, frame rate, trigger frame, and range of frames to process."""
 
     frames: Path
     frame_rate: float | None
@@ -27,7 +27,7 @@ class RecordingSettings:
 
 
 class Views(Mapping[str, View]):
-    """Settings [views]: the rectangle of each view in the frame, by name."""
+    """Settings [views]: rectangle of the camera frame that each view occupies, by name of the view."""
 
     def __init__(self, views: Mapping[str, View]) -> None:
         self._views = dict(views)
@@ -44,23 +44,23 @@ class Views(Mapping[str, View]):
         return len(self._views)
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of the views that the scene has."""
+        """Return the names of all views in the scene."""
         return tuple(self._views)
 
     @property
     def contact(self) -> View:
-        """Return the view in which skin in contact with the glass appears dark."""
+        """Return the contact view, in which skin in contact with the glass appears dark."""
         return self["contact"]
 
     @property
     def topography(self) -> View | None:
-        """Return the view of the skin's ridges; None if the scene has none."""
+        """Return the topographic view, which shows the ridges of the skin; None if the scene has none."""
         return self.get("topography")
 
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings [background]: recordings without a finger, and without light. A soft sensor needs neither."""
+    """Settings [background]: recordings of the empty glass, and without light. A soft sensor needs neither."""
 
     frames: Path | None
     dark: Path | None
@@ -68,7 +68,7 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """Settings [forces]: columns of the force file by name or by number from 1; ``tangential`` may have two components.
+    """Settings [forces]: force file, columns of the normal and tangential force, and calibration of the force sensors.
 
     ``units`` is the unit of all forces, None for the unit in each heading. ``gain``, ``sign`` and ``offset`` are one
     number for all or one each, normal first (`recordings.forces.newtons.Sensor`).
@@ -90,8 +90,7 @@ class ForceSettings:
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """Settings [calibration]: image scale and transform, from the scene file or the file that `fingerflow calibrate`
-    wrote.
+    """Settings [calibration]: image scale and view transform, given directly or by a calibration file.
 
     ``topography_to_contact`` is used only if there is a topography view.
     """
@@ -103,7 +102,7 @@ class CalibrationSettings:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """Settings [contact]: segmentation of the real and the gross contact."""
+    """Settings [contact]: segmentation of the real and of the apparent (gross) contact."""
 
     median_px: int
     threshold: float | Literal["reference_frame", "per_frame"]
@@ -112,7 +111,7 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """Settings [tracking]: how points are seeded and tracked."""
+    """Settings [tracking]: how skin points are seeded and tracked."""
 
     points: int
     window_px: int
@@ -127,7 +126,7 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """Settings [fields]: how deformation of the skin is computed, and the elastic constants of the skin.
+    """Settings [fields]: how skin deformation is computed, and elastic constants of the skin.
 
     ``reference`` is the instant from which displacement is measured: "onset", "first_frame", a frame number, or a time
     from the trigger, such as "0.25 s".
@@ -144,7 +143,7 @@ class FieldSettings:
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """Settings [slip] of a trial of tangential loading.
+    """Settings [slip]: how stick and slip are told apart in a trial of tangential loading.
 
     A scene with this table is of the kind "slip" unless it states another. ``stuck_mm`` is used by the criteria
     "displacement" and "relative". ``displacement`` is measured at tracked points or, by dense flow, everywhere.
@@ -157,7 +156,7 @@ class SlipSettings:
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Settings [stream]: additional settings for the player of an exported bundle.
+    """Settings [stream]: additional settings for playing an exported bundle on a camera stream.
 
     ``region`` is the part of the topography view in which skin is expected to touch, as it lies in the first frame.
     Points are seeded in it, by `process` too, so that both seed the same points.
@@ -171,7 +170,7 @@ class StreamSettings:
 
 @dataclass(frozen=True)
 class Scene:
-    """Experiment settings: a recording, and everything that is needed to process it.
+    """Complete settings of an experiment: the recording, and everything needed to process it.
 
     ``path`` is the scene file, ``kind`` one of `schema.scene_kinds.KINDS`.
     """
@@ -190,7 +189,7 @@ class Scene:
     stream: StreamSettings
 
     def files(self) -> tuple[Path, ...]:
-        """Return the scene file and all files that it names; no result may overwrite them."""
+        """Return the paths of the scene file and of all files named in it, which no output may overwrite."""
         forces = None if self.forces is None else self.forces.file
         masks = (None if view.region is None else view.region.mask for view in self.views.values())
         named = (
@@ -205,16 +204,16 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True if markers on a gel are tracked, else None, which `Scene.has` treats as a key without a value."""
+        """Return True if the scene is of a gel with markers, else None, which `Scene.has` takes as missing."""
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if dense flow measures slip, else None, which `Scene.has` treats as a key without a value."""
+        """Return True if slip is measured by dense flow, else None, which `Scene.has` takes as missing."""
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
-        """Return whether a key of the scene file, given as a dotted path such as "forces.tangential", has a value."""
+        """Return whether the scene has a value for a key, given as a dotted path such as "forces.tangential"."""
         found: Any = self
         for key in need.split("."):
             found = found.get(key) if isinstance(found, Views) else getattr(found, key)
@@ -223,12 +222,12 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Return all settings, including defaults, by table and key as JSON text."""
+        """Return all settings, including defaults, as JSON text of tables and keys."""
         return json.dumps(_plain(self))
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Read a scene file, check it, and return its experiment settings.
+    """Read and validate a scene file, and return the settings in it.
 
     Raises:
         FingerflowError: the file is missing or is not valid TOML, a key is unknown, a value has the wrong type or
@@ -242,7 +241,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """Return one scene from its tables and keys in a file that holds several scenes.
+    """Return one scene, given as tables and keys, from a file that holds several scenes.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -259,7 +258,7 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
 
 
 def scene_of_text(text: str, path: Path) -> Scene:
-    """Return the scene that a text describes before it is written to the file `path`; raise as :func:`load_scene`."""
+    """Return the scene in a text that will be written to the file `path`; raise errors as :func:`load_scene`."""
     try:
         return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
     except SceneError as error:
@@ -267,7 +266,7 @@ def scene_of_text(text: str, path: Path) -> Scene:
 
 
 def scene_of_settings(settings: str) -> Scene:
-    """Return the scene of a result, rebuilt from the result's attribute `settings`, a text of :meth:`Scene.as_json`.
+    """Return the scene from which a result was computed, given the JSON text of the result's attribute `settings`.
 
     Raises:
         FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
@@ -286,7 +285,7 @@ def scene_of_settings(settings: str) -> Scene:
 
 
 def _without_none(value: Any) -> Any:
-    """Return settings without the keys whose value is None, which were left out in the scene file."""
+    """Remove all keys with the value None from settings, since the scene file did not have them."""
     if isinstance(value, dict):
         return {name: _without_none(one) for name, one in value.items() if one is not None}
     return value
@@ -321,7 +320,7 @@ def _view(found: Mapping[str, Any]) -> View:
 
 
 def _plain(value: Any) -> Any:
-    """Convert settings to types that JSON can represent."""
+    """Convert settings to JSON types."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Validation of the content of a scene file against its keys and the rules between them."""
+"""Validation of the content of a scene file: each key, and rules between several keys."""
 
 import difflib
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle 
 
 @dataclass(frozen=True)
 class Problem:
-    """Problem with a key of a scene file; the message `said` continues a sentence that begins with the key."""
+    """Problem with one key of a scene file: the message `said` continues a sentence that begins with the key."""
 
     keys: Keys
     said: str
@@ -44,7 +44,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Checked:
-    """Content of a scene file after validation.
+    """Validated content of a scene file.
 
     Attributes:
         kind: one of KINDS.
@@ -59,7 +59,7 @@ class Checked:
 
 
 def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tuple[Checked, list[Problem]]:
-    """Check the parsed content of a scene file; return it with defaults, and the problems found.
+    """Validate the parsed content of a scene file; return it with defaults filled in, and all problems found.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -75,7 +75,7 @@ def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tup
 
 
 class _Check:
-    """Validation of one scene file; it collects the first problem found for each key."""
+    """Validation of one scene file, which collects at most one problem for each key."""
 
     def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
         self._written, self._folder, self._reader = written, folder, reader
@@ -88,7 +88,7 @@ class _Check:
         self.given: set[str] = set()
 
     def all(self) -> None:
-        """Check each key of the scene file by itself, then the rules between the keys that are valid."""
+        """Check all keys of the scene file one by one, then all rules between several keys."""
         stated, self.kind = self._written.get("kind"), default_kind(self._written)
         if isinstance(stated, str) and stated in KINDS:
             self.kind = stated
@@ -201,14 +201,14 @@ class _Check:
                 self._fits_the_views(rule)
 
     def _blame(self, key: str, said: str) -> None:
-        """Record a problem of a key that conflicts with other keys, quoting its value as written in the file."""
+        """Record that a key conflicts with other keys, quoting the value of the key as written in the scene file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
         self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
     def _at(self, key: str) -> Any:
-        """Return the checked value of a key, given as a dotted path; None if it is missing or invalid."""
+        """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
             value = None if value is None else value.get(name)
@@ -232,7 +232,7 @@ class _Check:
             self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
-        """Set scale and transform to those of the calibration file; record conflicting keys, or a missing scale."""
+        """Apply a rule `InPlaceOf`: take scale and transform from the calibration file, and record conflicts."""
         place, _, name = rule.key.rpartition(".")
         if rule.key not in self.given:
             if place in self.given and rule.needed not in self.given:
@@ -264,7 +264,7 @@ class _Check:
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
-        """Record a problem unless exactly one key of the table is given; set a table that is left out to None."""
+        """Apply a rule `OneOf`: record a problem unless exactly one key of a table is given."""
         place, _, name = rule.key.rpartition(".")
         table, around = self._at(rule.key), self._at(place)
         if not table or place not in self.given:  # a role shares the region of its view
@@ -277,7 +277,7 @@ class _Check:
             around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Check that a scene with two views has a transform between them, and a calibration made with its views."""
+        """Apply a rule `FitsTheViews`: check that the calibration has a view transform and is made with these views."""
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
@@ -325,5 +325,5 @@ def _ranges(view: tuple[Pixels, Pixels] | None) -> str:
 
 
 def _option(view: tuple[Pixels, Pixels]) -> str:
-    """Return the rows and columns of a view as arguments of `fingerflow calibrate` on the command line."""
+    """Return rows and columns of a view as command-line options of `fingerflow calibrate`."""
     return " ".join(map(str, (*view[0], *view[1])))

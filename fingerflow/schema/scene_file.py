@@ -1,4 +1,4 @@
-"""Reader of scene files that reports each problem in one line of text: file, line, key, value, remedy."""
+"""Reader of scene files that reports each problem as one line: file, line number, key, value and remedy."""
 
 import re
 import tomllib
@@ -9,11 +9,11 @@ from fingerflow.schema.scene_keys import Reader
 
 
 class SceneError(Exception):
-    """Error that lists all problems of a scene file, one a line."""
+    """Error that lists all problems of a scene file, one per line."""
 
 
 def read_scene(path: Path, reader: Reader) -> Checked:
-    """Return the validated content of a scene file, for `process` or for a stream as its reader.
+    """Return the validated content of a scene file, checked for one reader: `process` or a stream.
 
     Raises SceneError where the file is missing or is not valid TOML, a key is unknown, a value has the wrong type or
     range, keys contradict each other, or a file that the reader needs is missing.
@@ -31,7 +31,7 @@ def read_scene(path: Path, reader: Reader) -> Checked:
 
 
 def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
-    """Return the validated content of a text that will be written to the file `path`; raise as :func:`read_scene`."""
+    """Return the validated content of a text that will be the scene file `path`; raise errors as :func:`read_scene`."""
     try:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -44,7 +44,7 @@ def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
 
 
 def _line(text: str, keys: Keys) -> int:
-    """Return the line number of a key in the text of a scene file, else of the nearest enclosing table, else 1."""
+    """Return the line number of a key in the text of a scene file; if absent, of the nearest enclosing table, or 1."""
     table: Keys = ()
     longest, result = 0, 1
     for number, line in enumerate(text.splitlines(), start=1):

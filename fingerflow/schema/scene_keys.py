@@ -1,4 +1,4 @@
-"""Keys of a scene file: type, range, default and the commands that need the key, and the rules between keys.
+"""Definitions of all keys of scene files (type, range, default, commands that need the key), and rules between keys.
 
 A scene has two readers: `process` reads a recording, the player a `stream`. Where their needs differ, the entry of the
 key states it.
@@ -18,7 +18,7 @@ NOBODY = frozenset[Reader]()
 
 @dataclass(frozen=True)
 class NumberType:
-    """Type of a key whose value is a finite number; an integer is accepted, a boolean is not."""
+    """Type of a key that takes a finite number: integer or float, but no boolean."""
 
     above: float | None = None
     least: float | None = None
@@ -28,24 +28,24 @@ class NumberType:
 
 @dataclass(frozen=True)
 class Whole(NumberType):
-    """Type of a key for an integer; ``odd`` if it must be odd, as the side of a window with a middle pixel."""
+    """Type of a key that takes an integer, which must be odd if ``odd`` is set."""
 
     odd: bool = False
 
 
 @dataclass(frozen=True)
 class Switch:
-    """Type of a key whose value is true or false."""
+    """Type of a key that takes true or false."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """Type of a key whose value is any text."""
+    """Type of a key that takes any text."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Type of a key whose value is one of several words, or a number if ``number`` is set."""
+    """Type of a key that takes one of several words, or also a number if ``number`` is set."""
 
     words: tuple[str, ...]
     number: NumberType | None = None
@@ -53,14 +53,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Column:
-    """Type of a key that names a column, or numbers it from 1; if ``several`` > 1, also a list of up to that many."""
+    """Type of a key that takes a column by name or by number from 1, or a list of up to ``several`` columns."""
 
     several: int = 1
 
 
 @dataclass(frozen=True)
 class Each:
-    """Type of a key with one number for all forces, or a list, normal first; each in ``among`` unless that is empty."""
+    """Type of a key that takes one number for all force channels, or a list with a number for each channel."""
 
     number: NumberType = NumberType()
     among: tuple[float, ...] = ()
@@ -68,19 +68,19 @@ class Each:
 
 @dataclass(frozen=True)
 class TimeRange:
-    """Type of a key whose value is an interval [t0, t1] in s from the trigger, t0 before t1."""
+    """Type of a key that takes an interval [t0, t1] in s from the trigger, with t0 before t1."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Type of a key for an instant: a word, a frame number from 0, or a time from the trigger as text, "0.25 s"."""
+    """Type of a key that takes an instant: a word, a frame number from 0, or a time from the trigger as "0.25 s"."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class File:
-    """Type of a key whose value is a path relative to the scene file; "file.h5::/dataset" is a data set within a file.
+    """Type of a key that takes a path relative to the scene file, or "file.h5::/dataset" for a data set in a file.
 
     Attributes:
         there_for: readers for which the file must exist: a scene may be taken to a lab PC without its recording.
@@ -93,24 +93,24 @@ class File:
 
 @dataclass(frozen=True)
 class PixelRange:
-    """Type of a key whose value is a half-open range [first, end) of pixels."""
+    """Type of a key that takes a half-open range [first, end) of pixels."""
 
 
 @dataclass(frozen=True)
 class CornersType:
-    """Type of a key whose value is a polygon [[x, y], ...] of three or more corners, px of a view."""
+    """Type of a key that takes a polygon [[x, y], ...] with three or more corners, in px of a view."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Type of a key whose value is a pair of numbers [x, y]."""
+    """Type of a key that takes a pair of numbers [x, y]."""
 
     each: NumberType = NumberType()
 
 
 @dataclass(frozen=True)
 class TransformType:
-    """Type of a key whose value is an invertible affine transform [[a, b, x], [c, d, y]]."""
+    """Type of a key that takes an invertible affine transform [[a, b, x], [c, d, y]]."""
 
 
 Type = (
@@ -132,7 +132,7 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """Definition of one key of scene files.
+    """Definition of one key of scene files: type, meaning, default, unit and where the key is needed.
 
     Attributes:
         type: its type and range.
@@ -153,8 +153,8 @@ class SceneKey:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """Definition of one table of scene files. If left out, it takes its defaults, or is None where a reader needs one
-    of its keys.
+    """Definition of one table of scene files: keys, meaning and where the table is needed. If left out, it takes its
+    defaults, or is None where a reader needs one of its keys.
 
     Attributes:
         keys: its settings and tables.
@@ -173,7 +173,7 @@ _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name o
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
-    """Return the name of a key in words without its unit, and the unit, "" if it has none."""
+    """Split the name of a key into words without the unit, and the unit, which is "" if the name has none."""
     if name == "mm_per_px":
         return "scale", "mm/px"
     for end, unit in _UNITS.items():
@@ -346,7 +346,7 @@ VIEW_HELP = {
 
 
 def views_of(kind: Kind) -> SceneTable:
-    """Return the definition of table [views] for a kind of scene: a rectangle and, where allowed, a region per view."""
+    """Return the definition of the table [views] for a kind of scene, with a rectangle for each view."""
     keys = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
     tables: dict[str, SceneKey | SceneTable] = {
         name: SceneTable(keys, VIEW_HELP.get(name, ""), BOTH if name in kind.views else STREAM)
@@ -360,7 +360,7 @@ RENAMED = {"stream.rekey_share": "update_share", "stream.rekey_frames": "update_
 
 
 def optional(table: SceneKey | SceneTable) -> SceneTable:
-    """Return a copy of the definition of a table in which no key is required."""
+    """Return a copy of a table definition in which no key is required."""
     assert isinstance(table, SceneTable)
     keys = {name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()}
     return replace(table, keys=keys, needed_by=NOBODY)
@@ -371,7 +371,7 @@ def optional(table: SceneKey | SceneTable) -> SceneTable:
 
 @dataclass(frozen=True)
 class NotBefore:
-    """Rule: the frame number in `key` is not smaller than that in `first`."""
+    """Rule of scene files: the frame number in `key` is not before the frame number in `first`."""
 
     key: str
     first: str
@@ -379,7 +379,7 @@ class NotBefore:
 
 @dataclass(frozen=True)
 class Together:
-    """Rule: if `key` is given in the scene file, `other` must be given too."""
+    """Rule of scene files: if `key` is given, then `other` must be given too."""
 
     key: str
     other: str
@@ -389,7 +389,7 @@ class Together:
 
 @dataclass(frozen=True)
 class NotBoth:
-    """Rule: at most one of `key` and `other` is given in the scene file."""
+    """Rule of scene files: `key` and `other` must not both be given."""
 
     key: str
     other: str
@@ -398,7 +398,7 @@ class NotBoth:
 
 @dataclass(frozen=True)
 class OneEach:
-    """Rule: a list in `key` has as many numbers as the scene names force channels."""
+    """Rule of scene files: a list in `key` has one number for each force channel."""
 
     key: str
     forces: tuple[str, ...]
@@ -406,7 +406,7 @@ class OneEach:
 
 @dataclass(frozen=True)
 class InPlaceOf:
-    """Rule: a calibration file provides scale and transform, which are then not given; without it a scale is needed."""
+    """Rule of scene files: a calibration file takes the place of the keys for image scale and transform."""
 
     key: str
     needed: str
@@ -415,7 +415,7 @@ class InPlaceOf:
 
 @dataclass(frozen=True)
 class Inside:
-    """Rule: the rectangle in `key` lies within the view `view`."""
+    """Rule of scene files: the rectangle in `key` lies inside the view `view`."""
 
     key: str
     view: str
@@ -423,14 +423,14 @@ class Inside:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Rule: the table `key`, if given, has exactly one of its keys."""
+    """Rule of scene files: the table `key`, if given, has exactly one of the possible keys."""
 
     key: str
 
 
 @dataclass(frozen=True)
 class FitsTheViews:
-    """Rule: the calibration has a transform from one view to the other, and was made with the views of the scene."""
+    """Rule of scene files: the calibration file has a transform between the views, and was made with these views."""
 
     key: str
     scale: str

@@ -1,4 +1,4 @@
-"""Kinds of scenes, such as "press" and "slip": which views each has, and which stages run by default."""
+"""Kinds of scenes, such as "press" and "slip", which determine the views and the stages that run by default."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of scene, which determines views and default stages.
+    """Kind of scene, which determines the views and the stages that run by default.
 
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.
@@ -32,7 +32,7 @@ class Kind:
     streamed: bool = True
 
     def computes(self, stage: str) -> bool:
-        """Return whether a stage runs by default for scenes of this kind."""
+        """Return whether scenes of this kind run a given stage by default."""
         return (self.stages is None or stage in self.stages) and stage not in self.without
 
 
@@ -55,5 +55,5 @@ KINDS = {
 
 
 def default_kind(values: Mapping[str, Any]) -> str:
-    """Return the kind of a scene file that does not state one: "slip" if it has a table [slip], else "press"."""
+    """Return the kind of a scene file that states no kind: "slip" with a table [slip], else "press"."""
     return "slip" if "slip" in values else "press"

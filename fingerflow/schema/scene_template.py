@@ -1,4 +1,4 @@
-"""Text of a new scene file with comments, written from the keys of `schema.scene_keys`."""
+"""Generation of the text of new, commented scene files from the key definitions in `schema.scene_keys`."""
 
 import textwrap
 import tomllib
@@ -64,7 +64,7 @@ def scene_text(
 
 
 def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
-    """Return the text of a new scene file for a soft sensor with printed markers; frames have (height, width) px."""
+    """Return the text of a new scene file for a soft sensor with printed markers and frames of (height, width) px."""
     height, width = frame_shape
     camera = views_of(KINDS["soft_sensor"]).keys["camera"]
     lines = [_commented('kind = "soft_sensor"', "its own frames show the gel at rest: no [background] is needed")]
@@ -81,7 +81,7 @@ def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) 
 def _table_text(
     name: str, table: SceneKey | SceneTable, values: Mapping[str, Any] | None, whole: bool
 ) -> Iterator[str]:
-    """Yield the lines of a table of the scene file; all are comments if `values` is None.
+    """Yield the lines of one table of a new scene file; if `values` is None, all lines are comments.
 
     Keys without a value are comments with their default or sample; if all keys of the table have defaults, they are
     written with them. Without `whole`, only keys with values are written.
@@ -113,7 +113,7 @@ def _help(entry: SceneKey | SceneTable) -> str:
 
 
 def _sample(entry: SceneKey | SceneTable) -> Any:
-    """Return the example or default that a new scene file shows for a key without a value."""
+    """Return the sample value, or else the default, that a new scene file shows for a key."""
     if isinstance(entry, SceneKey) and entry.sample is None:
         return entry.default
     return entry.sample
@@ -124,7 +124,7 @@ def _rectangle(view: View) -> dict[str, Any]:
 
 
 def _commented(text: str, comment: str) -> str:
-    """Return a line of TOML with its comment beside it; a long comment continues on lines of its own."""
+    """Return a line of TOML followed by a comment; a long comment continues on further lines."""
     lines = textwrap.wrap(comment, _WIDTH - _COMMENT - 2)
     beside = lines and len(text) + 4 + len(lines[0]) <= _WIDTH
     first = f"{text:<{_COMMENT - 2}}  # {lines.pop(0)}" if beside else text

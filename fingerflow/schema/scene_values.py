@@ -1,4 +1,4 @@
-"""Validation of single settings: conversion of a value, or a message that says why it is invalid."""
+"""Validation of single values in a scene file: returns the converted value, or raises an error that states why not."""
 
 import math
 import re
@@ -28,11 +28,11 @@ _TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
-    """Error for an invalid setting, whose message continues the text "KEY is VALUE: "."""
+    """Error for an invalid value in a scene file; the message continues the text "KEY is VALUE: "."""
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """Convert a TOML value by the type of its key: numbers to float, ranges, matrices to tuples; raise WrongValue."""
+    """Convert a TOML value to the type of a key; raise WrongValue if the value is invalid."""
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -66,7 +66,7 @@ def value_of(kind: Type, value: Any) -> Any:
 
 
 def either(words: Iterable[str]) -> str:
-    """Return alternatives as text: "'a', 'b' or 'c'"."""
+    """Return alternatives as text in the form "'a', 'b' or 'c'"."""
     *others, last = map(repr, words)
     return f"{', '.join(others)} or {last}" if others else last
 

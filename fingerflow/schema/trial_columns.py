@@ -1,4 +1,4 @@
-"""Definition of the columns in a study's table of trials: name, unit, meaning, as written to `variables.csv`.
+"""Definitions of the columns in a study's table of trials: name, unit and meaning, as listed in `variables.csv`.
 
 Without a suffix a column is the value shown in figures; with `_at_1n`, `_at_onset` and so on it is the value at that
 moment. `_std` is its standard deviation.
@@ -23,7 +23,7 @@ _LARGEST = "the largest of the trial"
 
 
 class AtMoments(NamedTuple):
-    """Quantity of a trial that the table of trials lists at several moments, one column each.
+    """Quantity that the table of trials lists at several moments of a trial, in one column per moment.
 
     Attributes:
         name: of the column without a suffix.

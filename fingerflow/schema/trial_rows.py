@@ -1,4 +1,4 @@
-"""Rows of a table of trials in a CSV file, as text."""
+"""Reader of the rows in a CSV table of trials, as text."""
 
 import csv
 from pathlib import Path
@@ -10,7 +10,7 @@ NOTHING = ("", "nan", "na")  # a cell without a value
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as dictionaries by column name, in which row 1 is the heading.
+    """Return the rows of a CSV file as dictionaries from column name to text; the heading is row 1.
 
     Raises:
         FingerflowError: the file cannot be read, it has no rows, columns have no or the same names, or a row has more

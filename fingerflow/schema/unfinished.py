@@ -1,4 +1,4 @@
-"""Temporary paths of outputs: their names, their renaming when complete, and removal of what killed runs have left."""
+"""Temporary paths for unfinished outputs: naming, renaming on completion, and removal of leftovers of killed runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def unfinished(path: Path) -> Path:
-    """Return a hidden temporary path beside an output file or folder, to be renamed when the output is complete.
+    """Return a hidden temporary path for an unfinished output, which is renamed to the output path on completion.
 
     Also removes the temporary paths of the same output that killed runs have left. Their names hold the computer and
     the process id; a path is removed only if it is of this computer and its process has ended.
@@ -30,7 +30,7 @@ def unfinished(path: Path) -> Path:
 
 
 def finish(part: Path, path: Path) -> None:
-    """Rename a complete temporary file or folder to its path, safe against loss of power.
+    """Rename a complete temporary file or folder to the final path, safely even if power is lost.
 
     The content is on the disk before the name, and the name before this returns. Raises OSError where the system
     refuses.
@@ -49,7 +49,7 @@ def finish(part: Path, path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with its content, without raising errors, so that an earlier error remains visible."""
+    """Remove a file, or a folder with all content, ignoring errors."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -58,7 +58,7 @@ def remove(path: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """Return whether the process with this id exists; True on systems where this cannot be checked without harm."""
+    """Return whether a process with this id exists; True on systems where this cannot be checked safely."""
     if os.name != "posix":
         return True
     try:

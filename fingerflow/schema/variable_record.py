@@ -1,4 +1,4 @@
-"""Definition of a result variable, with the unit in which people read it."""
+"""Definition of a result variable, and of the unit in which figures and reports show it."""
 
 import math
 from collections.abc import Callable
@@ -17,7 +17,7 @@ LABELS = {
 
 @dataclass(frozen=True)
 class ShownUnit:
-    """Unit in which figures, reports and pages show a variable; files keep the unit of the data set.
+    """Unit in which figures, reports and web pages show a variable, where it differs from the unit in the data set.
 
     Attributes:
         name: as it is printed; "" if dimensionless.
@@ -43,7 +43,7 @@ _BY_UNIT = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Definition of a result variable: name, dimensions, unit, meaning and how it is shown.
+    """Definition of a result variable: name, dimensions, unit, meaning, and how figures show it.
 
     Attributes:
         name: in the data set, in tables and in records.
@@ -76,7 +76,7 @@ class Variable:
 
     @property
     def words(self) -> str:
-        """Return the name of the variable on axes and in tables."""
+        """Return the name of the variable in words, for axes and tables."""
         if self.label:
             return self.label
         name = self.name.removesuffix("_px").replace("_", " ")
@@ -84,30 +84,30 @@ class Variable:
 
     @property
     def shown_unit(self) -> ShownUnit:
-        """Return the unit in which people read the variable."""
+        """Return the unit in which figures and reports show the variable."""
         return self.shown_in or _BY_UNIT.get(self.units) or ShownUnit(self.units)
 
     @property
     def axis_label(self) -> str:
-        """Return the name of the variable with the unit in which it is shown, "median divergence (µm/mm)"."""
+        """Return an axis label with the shown unit, such as "median divergence (µm/mm)"."""
         return self.with_unit(self.words)
 
     def shown_values(self, values: Any) -> Any:
-        """Convert values from the unit of the data set to the unit in which people read the variable."""
+        """Convert values from the unit in the data set to the unit shown in figures and reports."""
         return self.shown_unit.factor * values
 
     def with_unit(self, words: str) -> str:
-        """Return a label followed by the unit in which the variable is shown, in brackets."""
+        """Return a label followed by the shown unit in brackets."""
         unit = self.shown_unit.name
         return f"{words} ({unit})" if unit else words
 
     def shown(self) -> dict[str, object]:
-        """Return what a page needs to show the variable: label, unit, factor from the data set's unit, and decimals."""
+        """Return what a web page needs to show the variable: label, unit, conversion factor and decimals."""
         unit = self.shown_unit
         return {"label": self.words, "unit": unit.name, "factor": unit.factor, "decimals": unit.decimals}
 
     def attributes(self) -> dict[str, object]:
-        """Return the attributes of the variable by the CF conventions: units, definition and meanings of flags."""
+        """Return the data set attributes of the variable by the CF conventions: units, definition and flag meanings."""
         flags: dict[str, object] = {}
         if self.flags:
             flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}

@@ -1,4 +1,4 @@
-"""Result variables of a trial: name, dimensions, unit, definition, equation and shown unit, stated once.
+"""Definitions of all result variables: name, dimensions, unit, meaning, equation and shown unit.
 
 The data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries.
 Only the standard library is imported, because an exported bundle contains this file.
@@ -493,7 +493,7 @@ STREAM = (
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
-    """Return the variables of several groups as a mapping from name to definition."""
+    """Return the variables in several groups as a mapping from name to definition."""
     return {variable.name: variable for group in groups for variable in group}
 
 

@@ -1,4 +1,4 @@
-"""Views: rectangles of a camera frame, as one frame may show the finger in several views side by side."""
+"""Views of the finger: rectangles of the camera frame, which may show several views side by side."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from fingerflow.schema.calibration_file import pixel_range
 
 @dataclass(frozen=True)
 class DrawnEllipse:
-    """Ellipse in px of the view; `angle` is the direction of the first axis, rad from x towards y."""
+    """Ellipse that a scene file gives as a region, px of the view; `angle` of the first axis is in rad from x to y."""
 
     center: tuple[float, float]
     semi_axes: tuple[float, float]
@@ -19,7 +19,7 @@ class DrawnEllipse:
 
 @dataclass(frozen=True)
 class Region:
-    """Region of a view as one of polygon, ellipse or mask file; px of the view with integers at pixel centres."""
+    """Region of interest of a view, given as a polygon, an ellipse or a mask file, in px of the view."""
 
     polygon: tuple[tuple[float, float], ...] | None
     ellipse: DrawnEllipse | None
@@ -28,7 +28,7 @@ class Region:
 
 @dataclass(frozen=True)
 class View:
-    """View: a rectangle of the camera frame, with half-open ranges (first, last + 1) of `rows` and `columns`. `region`
+    """View of the finger: a rectangle of the camera frame, given as half-open ranges of `rows` and `columns`. `region`
     is a part of it.
 
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
@@ -47,11 +47,11 @@ class View:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (height, width) of the view, px."""
+        """Return the size (height, width) of the view, px."""
         return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
 
     def crop(self, frame: Any) -> Any:
-        """Return the part of a frame (..., H, W), an array or a tensor, that the view covers, without a copy.
+        """Crop frames (..., H, W), an array or a tensor, to the rectangle of the view, without a copy.
 
         Raises FingerflowError where the view does not fit into the frame.
         """

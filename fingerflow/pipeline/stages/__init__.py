@@ -1,4 +1,4 @@
-"""Stages of the pipeline, each a step of the processing; `all_stages` finds all that these folders define."""
+"""Processing stages of the pipeline; `all_stages` finds every stage class defined in the folders of this package."""
 
 from functools import cache
 from importlib import import_module
@@ -9,7 +9,7 @@ from fingerflow.pipeline.stages.stage import Stage
 
 @cache
 def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
-    """Return all stages, ordered so that each comes after those it depends on.
+    """Return all stage classes, sorted by dependency: every stage comes after the stages that it needs.
 
     `instead` names the alternative implementations that replace their base stages.
     """

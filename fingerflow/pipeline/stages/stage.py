@@ -1,4 +1,4 @@
-"""Base class of the stages of the pipeline: what a stage needs and computes, and the methods that a run calls."""
+"""Base class of pipeline stages: declarations of what a stage needs and computes, and methods that a run calls."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ _COPIED = 64  # frames at a time
 
 @dataclass
 class Batch:
-    """Batch of consecutive frames that passes through the stages of one pass, in the order of processing.
+    """Batch of consecutive frames, with the results that the stages of one pass have computed from it.
 
     Attributes:
         indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
@@ -30,17 +30,17 @@ class Batch:
     _steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def keep(self, stage: "Stage", result: Any) -> None:
-        """Store the result of a stage's `step` for later stages of the same pass."""
+        """Store what the method `step` of a stage returned, for later stages of this pass."""
         self._steps[type(stage).place()] = result
 
     def of(self, stage: type["Stage"]) -> Any:
-        """Return the result of another stage's `step` for this batch."""
+        """Return what the method `step` of another stage returned for this batch."""
         return self._steps[stage]
 
 
 @dataclass
 class RunContext:
-    """Run context of one recording: inputs, results so far, plan and stages."""
+    """Context of a run for one recording, shared by all stages: inputs, results so far, plan and stages."""
 
     inputs: Inputs
     results: Store
@@ -49,7 +49,7 @@ class RunContext:
     stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
-        """Return this run's instance of a stage class or of its replacement, from this pass or an earlier one."""
+        """Return the instance of a stage class (or of the class that replaces it) in this run."""
         found = self.stages[kind]
         assert isinstance(found, kind)
         return found
@@ -59,7 +59,7 @@ class RunContext:
 
 
 class Stage:
-    """Base class of a processing step; the pipeline finds every subclass that a file of these folders defines.
+    """Base class of processing stages; the pipeline finds every subclass that a file of the folder `stages` defines.
 
     The pipeline goes over the frames once for all stages that depend only on each other's steps, and again for the
     stages after them. It calls `begin` of each stage in the order of dependencies, `step` batch by batch, `finish`, and
@@ -103,33 +103,33 @@ class Stage:
 
     @classmethod
     def place(cls) -> type["Stage"]:
-        """Return the class under which other stages refer to this one: itself, or the class that it replaces."""
+        """Return the class by which other stages refer to this stage: the class itself, or the one that it replaces."""
         return next(kind for kind in cls.__mro__ if issubclass(kind, Stage) and not kind.instead)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """Return which properties of the plan, besides settings, the stage's results depend on, as a JSON value."""
+        """Return, as a JSON value, what the results of the stage depend on in the plan, besides settings."""
         return None
 
     @property
     def backward(self) -> bool:
-        """Return True if frames are processed from the last to the first one."""
+        """Return whether the frames are processed from the last one to the first one."""
         return False
 
     def begin(self) -> None:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Compute the results of a batch of frames; later stages of the pass get the returned value by `Batch.of`.
+        """Compute the results of a batch of frames; later stages of the pass get the returned value from `Batch.of`.
 
         It may be a generator of engine calls that several recordings share (`engines.together`).
         """
 
     def finish(self) -> None:
-        """Compute the results that need all frames, after the last batch, and warnings."""
+        """Compute the results that need all frames, and add warnings, after the last batch."""
 
     def restore(self, earlier: xr.Dataset) -> None:
-        """Copy the stage's results from an earlier result, instead of running begin, step, finish and derive."""
+        """Copy the results of the stage from an earlier result, in place of begin, step, finish and derive."""
         for variable in self.gives:
             if variable.name in earlier and (variable.unasked or variable.name in self.trial.asked):
                 values = earlier[variable.name]
@@ -140,7 +140,7 @@ class Stage:
                     stored[first : first + _COPIED] = values[first : first + _COPIED].values
 
     def derive(self) -> None:
-        """Compute the variables that are formulas of other variables, after `finish`."""
+        """Compute, after `finish`, the variables that are defined by formulas of other variables."""
         for variable in self.gives:
             wanted = variable.unasked or variable.name in self.trial.asked
             if variable.formula is not None and wanted and all(name in self.results for name in variable.of):

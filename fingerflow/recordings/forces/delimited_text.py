@@ -1,4 +1,4 @@
-"""Reader of forces in delimited text: comma, semicolon, tab or blanks; decimal point or comma; units in the heading."""
+"""Reader of forces in delimited text files (CSV and similar), with units in the heading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read,
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return all columns of a text file of forces.
+    """Return all columns of a delimited text file with forces.
 
     The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
     separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.
@@ -76,7 +76,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    """Return a table's numbers, ignoring empty cells at line ends; raise ValueError unless it has `columns` columns."""
+    """Return the numbers in a table body; raise ValueError unless every line has `columns` numbers."""
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
         body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
@@ -86,7 +86,7 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
-    """Return names and units of the columns, and whether the line below the heading holds units."""
+    """Return the names and units of all columns, and whether a separate line of units follows the heading."""
     names, units = [], {}
     for cell in cells:
         name, unit = split_unit(cell)

@@ -1,4 +1,4 @@
-"""Table of the columns of a force file, the common result of all readers of forces."""
+"""Table of all columns in a force file, as every reader of force files returns it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class ForceTable:
-    """Columns of a force file as stored, before channels are selected.
+    """All columns of a force file as stored, before force channels are selected and converted.
 
     `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `warnings`:
     sentences for the user.
@@ -26,7 +26,7 @@ class ForceTable:
     warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64], unit: object = None) -> None:
-        """Add a column, or a matrix (n, k) as columns name[0] to name[k - 1]; `unit` is None if the file has none."""
+        """Add a column, or a matrix (n, k) as k columns name[0] to name[k - 1]; `unit` is None if unknown."""
         values = np.squeeze(np.asarray(values, np.float64))
         added = {name: values} if values.ndim == 1 else {}
         if values.ndim == 2:
@@ -38,6 +38,6 @@ class ForceTable:
 
 
 def split_unit(heading: str) -> tuple[str, str | None]:
-    """Split a column heading into name and unit: 'normal_force (mN)' or 'normal_force [mN]' is normal_force in mN."""
+    """Split a column heading into name and unit, for example 'normal_force (mN)' into 'normal_force' and 'mN'."""
     match = re.fullmatch(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", heading)
     return (match.group(1).strip(), match.group(2)) if match and match.group(1) else (heading.strip(), None)

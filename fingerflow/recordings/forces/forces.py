@@ -1,4 +1,4 @@
-"""Force channels with their own sample times: alignment to the trigger and resampling to the frames."""
+"""Force channels with separate sample times: alignment to the trigger, and resampling at the times of the frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Samples = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Force channels sampled at common times.
+    """Force channels that share one series of sample times.
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
     "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `trigger_time`: s on
@@ -60,7 +60,7 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """Return the same forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
+        """Return the forces with time shifted to 0 where the trigger channel first rises through `trigger_level`.
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.
@@ -81,7 +81,7 @@ class Forces:
         return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
-        """Return every channel at the times of the frames, low-passed to half the frame rate.
+        """Return all channels at the times of the frames, low-pass filtered at half the frame rate.
 
         frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
         frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces
@@ -113,7 +113,7 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Resample values (k, n) from `times` (n,) to frame times `wanted` (m,); NaN outside samples and in gaps."""
+        """Resample values (k, n) at `times` (n,) to frame times `wanted` (m,); NaN outside the samples and in gaps."""
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate
@@ -155,7 +155,7 @@ class Forces:
 
 
 def _rate(times: Samples) -> float | None:
-    """Return the sample rate in Hz by the median step, unaffected by gaps; None for fewer than two times."""
+    """Return the sample rate in Hz from the median interval between times; None for fewer than two times."""
     steps = np.abs(np.diff(np.sort(times)))
     steps = steps[steps > 0]
     return 1.0 / float(np.median(steps)) if steps.size else None

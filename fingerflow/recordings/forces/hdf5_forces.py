@@ -1,4 +1,4 @@
-"""Reader of forces in HDF5 files: every vector is a column; attributes `units` (or `unit`) and `sample_rate`."""
+"""Reader of forces in HDF5 files, in which every vector is a column; units and sample rate come from attributes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the numeric vectors of an HDF5 file as columns, named by their path without the leading slash.
+    """Return all numeric vectors of an HDF5 file as columns, each named by the path in the file.
 
     `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
     """

@@ -1,4 +1,4 @@
-"""Zero-phase low-pass filter for samples at arbitrary times, evaluated only at the requested times.
+"""Zero-phase low-pass filter for irregular samples, evaluated only at requested times.
 
 The kernel is a sinc under a Kaiser window (Oppenheim & Schafer, Discrete-Time Signal Processing, section 7.5),
 evaluated as a function of continuous time, so that neither the ratio of the rates nor the samples have to be even. The
@@ -35,7 +35,7 @@ Indices = NDArray[np.intp]
 
 
 def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float) -> Samples:
-    """Return channels (k, n) low-passed to `nyquist` (Hz) and evaluated at the times `wanted` (m,), as (k, m).
+    """Return channels (k, n), low-pass filtered at `nyquist` (Hz), at the times `wanted` (m,), as (k, m).
 
     `times` increase strictly; `wanted` lie between the first and the last of them.
     """
@@ -75,7 +75,7 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
 def _alike(
     times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Group frames whose surrounding samples have the same relative times, so that one filter kernel serves each group
+    """Group frames that can share one filter kernel, because the sample times relative to each frame are equal
     (polyphase).
 
     At 10 kHz and 300 frames/s there are three such groups, and some single frames near the ends.
@@ -97,8 +97,7 @@ def _alike(
 
 
 def _stretches(times: Samples) -> Samples:
-    """Return the time interval in s that each sample represents: from half way to the one before to half way to the
-    next.
+    """Return the stretch of time in s that each sample represents, between the midpoints to the neighbouring samples.
 
     A gap ends the record as its ends do, so no sample represents more than twice the median step.
     """
@@ -109,13 +108,13 @@ def _stretches(times: Samples) -> Samples:
 
 
 def kernel_half_width(nyquist: float) -> float:
-    """Return half the length of the low-pass kernel in s, from Kaiser's rule for the transition width."""
+    """Return half the length of the low-pass kernel in s, by Kaiser's rule for a given transition width."""
     transition = (STOP_BAND - PASS_BAND) * nyquist
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
 def _window_polynomial() -> Samples:
-    """Return the coefficients of a polynomial in 1 - position^2 for Kaiser's window, the constant first.
+    """Return the coefficients of a polynomial in 1 - position^2 that approximates a Kaiser window, constant first.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """
@@ -128,7 +127,7 @@ _WINDOW = _window_polynomial()
 
 
 def _over_angle(sine: Samples, angle: Samples) -> Samples:
-    """Return sinc values sin(x) / x from given `sine` and `angle`, accurate for x near 0 too."""
+    """Return sin(x) / x (sinc), given `sine` and `angle` x, with accurate values also near x = 0."""
     near = np.abs(angle) < _NEAR
     quotient = sine / np.where(near, 1.0, angle)
     quotient[near] = np.sinc(angle[near] / np.pi)
@@ -136,7 +135,7 @@ def _over_angle(sine: Samples, angle: Samples) -> Samples:
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Correct filter weights (m, w) to sum 1 and, away from the ends of the record, to first moment 0."""
+    """Correct filter weights (m, w) to a sum of 1 and, away from the ends of the record, to a first moment of 0."""
     weights = weights / weights.sum(1, keepdims=True)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)

@@ -1,4 +1,4 @@
-"""Reader of forces in MATLAB files, v5 to v7.3: each numeric vector is a column; struct fields are struct.field."""
+"""Reader of forces in MATLAB files, v5 to v7.3, in which every numeric vector is a column."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNITS = "units"
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the numeric vectors of a MATLAB file as columns.
+    """Return all numeric vectors of a MATLAB file as columns.
 
     A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` holds the unit of each column by its name.
     """

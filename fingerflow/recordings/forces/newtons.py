@@ -1,4 +1,4 @@
-"""Conversion of readings of force sensors to newtons: unit, zero, sensitivity and sign."""
+"""Conversion of force sensor readings to newtons by unit, zero, sensitivity and sign."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Sensor:
 
 
 def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
-    """Return the forces with the channels of `sensors` converted to N.
+    """Return forces in which the channels named in `sensors` are converted to newtons.
 
     Args:
         forces: from `open_forces`, aligned: times are from the trigger.

@@ -1,4 +1,4 @@
-"""Opening of force files: selection of the reader for a path, then of time column, channels and units."""
+"""Opening of force files: selection of the reader, the time column, the force channels and the units."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def open_forces(
 
 
 def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
-    """Return the sample times in s and their column's name; empty and None if a sample rate determines the times."""
+    """Return the sample times in s and the name of the time column; empty and None if a sample rate is used."""
     if sample_rate is not None:
         if time is not None:
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
@@ -130,7 +130,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
 
 
 def _contradicted(table: ForceTable, sample_rate: float) -> None:
-    """Check `sample_rate` against time columns of the file; raise FingerflowError if one has a different rate."""
+    """Raise FingerflowError if a time column of the file contradicts the given `sample_rate`."""
     for name in filter(_is_time, table.columns):
         unit = table.units.get(name, "s")
         measured = _rate(table.columns[name] * TO_SECONDS.get(unit, 1.0))
@@ -143,7 +143,7 @@ def _contradicted(table: ForceTable, sample_rate: float) -> None:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
-    """Return the median rate in Hz of a column of times; None if its numbers do not increase throughout."""
+    """Return the median sample rate in Hz of a time column; None if the times do not increase throughout."""
     steps = np.diff(times)
     return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
@@ -151,7 +151,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 def _wanted(
     table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
-    """Return the selected channels as a mapping from channel name to column name.
+    """Return a mapping from the name of each selected channel to the name of a file column.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """
@@ -170,7 +170,7 @@ def _is_time(name: str) -> bool:
 
 
 def force_columns(path: str | PathLike[str]) -> list[str]:
-    """Return the column names of a force file in order; raise FingerflowError if the file cannot be read."""
+    """Return all column names of a force file, in file order; raise FingerflowError if the file is unreadable."""
     return list(_read_table(Path(path)).columns)
 
 
@@ -190,7 +190,7 @@ def _read_table(location: Path) -> ForceTable:
 
 
 def _name(table: ForceTable, column: Column) -> str:
-    """Return the name of a column given by name or number; raise FingerflowError if it does not exist."""
+    """Return the name of a column that is given by name or number; raise FingerflowError if no such column exists."""
     names = list(table.columns)
     if isinstance(column, int):
         if not 1 <= column <= len(names):

@@ -1,4 +1,4 @@
-"""Preambles of text files before their table: headers of LabVIEW measurement files, notes of other programs."""
+"""Removal of preambles before the table in a text file, such as the header of a LabVIEW measurement file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RUN = 3  # consecutive lines of numbers that identify a table
 
 
 class Content(NamedTuple):
-    """Table of a text from its heading on; sample rate in Hz and start in s if the preamble states them."""
+    """Table in a text file from the heading on, with sample rate (Hz) and start time (s) if the preamble has them."""
 
     text: str
     sample_rate: float | None = None
@@ -24,7 +24,7 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """Return the table in a text: consecutive lines of numbers, with the heading above them.
+    """Return the table in a text without the preamble: consecutive lines of numbers, and the heading above.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
@@ -78,20 +78,20 @@ def _of_labview(path: Path, text: str) -> Content:
 
 
 def is_read(line: str) -> bool:
-    """Return whether a line of the text is data or heading, that is neither blank nor a comment."""
+    """Return whether a line of text is read as heading or data: True unless it is blank or a comment."""
     begun = line.lstrip()
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
 def separator_of(line: str) -> str | None:
-    """Return the separator of the cells of a line; None for blanks, between which commas are decimal commas."""
+    """Return the separator between the cells of a line: comma, semicolon or tab, or None for blanks."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)
 
 
 def cells_of(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a line without blanks and quotes around them, and without empty cells at its end."""
+    """Return the cells of a line, stripped of blanks and quotes; empty cells at the end of the line are dropped."""
     cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
     while cells and not cells[-1]:
         cells.pop()
@@ -99,7 +99,7 @@ def cells_of(line: str, separator: str | None) -> list[str]:
 
 
 def is_numeric(cells: Sequence[str]) -> bool:
-    """Return whether a line's cells are numbers, apart from empty ones, and at least one is."""
+    """Return whether all non-empty cells of a line are numbers; False if all cells are empty."""
     try:
         for cell in filter(None, cells):
             float(cell.replace(",", "."))

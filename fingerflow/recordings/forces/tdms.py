@@ -1,4 +1,4 @@
-"""Reader of forces in LabVIEW TDMS files: names, units and rate from the channels' properties."""
+"""Reader of forces in LabVIEW TDMS files; the properties of channels give names, units and sample rate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return the columns of a file, named by channel, or by group/channel if two groups share a name.
+    """Return the columns of a TDMS file, named by channel, or by group/channel if two channels have one name.
 
     The rate is 1 / `wf_increment`, the first sample is at `wf_start_offset`. Raises FingerflowError for channels with
     different clocks.
@@ -44,7 +44,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
-    """Return the table of numeric channels, and the (step, start) in s of their sample clocks."""
+    """Return the table of all numeric channels, and the sample clocks as (interval, start) in s."""
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
     table = ForceTable(path, {})

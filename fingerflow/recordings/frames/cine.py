@@ -1,4 +1,4 @@
-"""Reader of Phantom `.cine` recordings (Vision Research): 8 and 16 bits a pixel, 10-bit companded and 12-bit packed.
+"""Reader of Phantom `.cine` recordings (Vision Research) with 8, 10, 12 or 16 bits per pixel.
 
 Source of the layout: "Cine File Format", Vision Research; fields have the names used there. Where other readers
 disagree, the file's own fields decide; comments state which.
@@ -47,7 +47,7 @@ SETUP_FIELDS = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a Phantom recording by its headers and image offsets alone; raise FingerflowError for colour or damage."""
+    """Open a Phantom recording from headers and image offsets only; raise FingerflowError for colour or damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
     if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":
@@ -104,7 +104,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
-    """Return one frame, located by its offset in the file."""
+    """Return one frame of a `.cine` file, given the byte offset of the frame."""
     # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
     start = int(offsets[index])
     start += _unsigned(data[start : start + 4])
@@ -116,7 +116,7 @@ def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layo
 
 @dataclass(frozen=True)
 class _CineLayout:
-    """Pixel layout of an image in a `.cine` file: how its bytes become grey values."""
+    """Pixel layout of an image in a `.cine` file, which determines how bytes are converted to grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -143,7 +143,7 @@ def _unsigned(data: NDArray[np.uint8]) -> int:
 
 
 class _Setup:
-    """Fields of the SETUP structure of a `.cine` file by name; None for fields that the software did not write."""
+    """Fields of the SETUP structure of a `.cine` file, by name; None for fields that the file does not have."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -212,7 +212,7 @@ def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
 
 
 def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
-    """Return the number of leading frames that are completely stored in the file."""
+    """Return how many frames, from the first one on, are completely stored in a `.cine` file."""
     ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
     while count:
@@ -224,7 +224,7 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
 
 
 def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
-    """Return the camera's time stamps (TIME64) in s from the trigger.
+    """Return the time stamps (TIME64) that the camera recorded, in s from the trigger.
 
     TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
     double would round the difference to 0.2 us.
@@ -238,7 +238,7 @@ def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.
 def _times(
     stamps: NDArray[np.float64], first_number: int, rate: float | None
 ) -> tuple[NDArray[np.float64] | None, float | None, list[str]]:
-    """Return the frame times in s and the frame rate by the camera's clock, and warnings.
+    """Return frame times in s and frame rate according to the camera clock, and warnings for the user.
 
     FrameRate is the setting of the camera; if frames were left out on saving, only the time stamps show it. Frame
     numbers count from the trigger, but in some cameras numbers and clock disagree by minutes.

@@ -1,4 +1,4 @@
-"""Table that converts the companded 10-bit values of a packed Phantom recording to 12 linear bits.
+"""Lookup table from companded 10-bit values of packed Phantom recordings to linear 12-bit values.
 
 Source: "Cine File Format", Vision Research, appendix 1. The camera compresses 12 bits to 10 with the curve of ITU-R
 BT.709 between black (64 in both) and white (4064 of 4095, code 1014 of 1023); the tests compare the table with that

@@ -1,5 +1,5 @@
-"""Check of FFV1 video packets by their checksums. FFmpeg detects a wrong one, but fills the slice with old pixels and
-only logs it.
+"""Verification of FFV1 video packets by the checksums in the packets. FFmpeg detects a wrong one, but fills the slice
+with old pixels and only logs it.
 
 Source: RFC 9043, sections 4.4 (slices and their footers) and 4.9.3 (slice_crc_parity): a packet is a row of slices,
 each with a footer of its size in 3 bytes, a byte of status and a CRC that makes the CRC of the whole slice 0. The
@@ -16,7 +16,7 @@ _ONES = 0xFFFFFFFF
 
 
 def slices_are_whole(packet: bytes) -> bool:
-    """Return whether all checksums of an FFV1 packet are valid; False if it has none (version 1, or `slicecrc=0`)."""
+    """Return whether all slice checksums of an FFV1 packet are correct; False for a packet without checksums."""
     end = len(packet)
     while end > _FOOTER:
         size = int.from_bytes(packet[end - _FOOTER : end - _FOOTER + 3], "big") + _FOOTER

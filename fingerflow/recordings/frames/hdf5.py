@@ -1,4 +1,4 @@
-"""Reader of frames in an HDF5 file: one data set (N, H, W); attributes `frame_rate` (Hz), `bit_depth` if present."""
+"""Reader of frames in HDF5 files: one data set (N, H, W), with frame rate and bit depth as attributes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NEVER_WRITTEN = "was never written"
 
 
 def open_frames(path: Path, dataset: str = "") -> FileRecording:
-    """Open the frames of an HDF5 file: its only data set of three dimensions, or the one that `dataset` names.
+    """Open the frames of an HDF5 file: the data set `dataset`, or the only one with three dimensions.
 
     Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
     that were never written: frames with such a chunk are unreadable, and missing after the last complete frame.
@@ -37,7 +37,7 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
 
 
 def _frame(frames: h5py.Dataset, index: int) -> Frames:
-    """Return one frame, and raise what HDF5 says of a chunk that its index does not lead to; else that is its fill."""
+    """Return one frame; raise the HDF5 error if the frame holds only fill values because a chunk cannot be read."""
     frame: Frames = frames[index]
     if frames.chunks is not None and not frames.is_virtual and np.any(unset := frame == frames.fillvalue):
         step, height, width = frames.chunks
@@ -95,7 +95,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return which frames lack a chunk; `open_hdf5` has checked the index, `stored_whole` the number of frames."""
+    """Return a mask of frames for which the file lacks a chunk; file and data set must have been checked before."""
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

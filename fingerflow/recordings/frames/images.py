@@ -1,4 +1,4 @@
-"""Reader of a folder of images in the order of their numbers, or of one image as a recording of one frame."""
+"""Reader of a folder of images, ordered by number, or of a single image, as a recording."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOSSY = (".jpg", ".jpeg")
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open all images of a folder as a recording, or the image `path` as a recording of one frame.
+    """Open a folder of images as a recording, or a single image as a recording of one frame.
 
     Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
     number is missing in otherwise evenly numbered names, its frame is listed in `unreadable`, so that later frames keep
@@ -51,7 +51,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
-    """Return one frame of a folder of images; raise FingerflowError if size or type differ from the first image's."""
+    """Return one frame from a folder of images; raise FingerflowError if size or type differ from the first image."""
     file = files[index]
     assert file is not None, "a missing file is an unreadable frame"
     image = _read_image(file)
@@ -64,7 +64,7 @@ def _image_at(files: Sequence[Path | None], first: Description, index: int) -> F
 
 
 def _read_image(path: Path) -> Frames:
-    """Return one grey image (H, W). Grey stored as three equal channels is accepted without loss.
+    """Return one grey image file as an array (H, W). Grey stored as three equal channels is accepted without loss.
 
     Raises DamagedFrame where it cannot be decoded, FingerflowError for colour.
     """
@@ -107,7 +107,7 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
 
 
 def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
-    """Return the image files of a folder in order of their numbers, None for each missing number, and warnings."""
+    """Return the image files of a folder ordered by number, with None for missing numbers, and a list of warnings."""
     files = _images_in(folder)
     numbers = _numbers([file.name for file in files])
     if len(numbers) < 2:
@@ -134,7 +134,7 @@ def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
 
 
 def _numbers(names: list[str]) -> list[int]:
-    """Return each file's frame number, the only number in which the names differ; empty if they differ otherwise."""
+    """Return the frame number in each file name, if the names differ in one number only; otherwise an empty list."""
     parts = [re.split(r"(\d+)", name) for name in names]
     if len({(len(one), tuple(one[::2])) for one in parts}) > 1:
         return []
@@ -163,6 +163,6 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
-    """Return a sort key for file names in which runs of digits compare as numbers: frame_2 before frame_10."""
+    """Return a sort key that orders file names by the numbers in them: frame_2 before frame_10."""
     parts = re.split(r"(\d+)", file.name)
     return [(int(part), part) if part.isdecimal() else (-1, part) for part in parts]

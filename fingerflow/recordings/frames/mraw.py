@@ -1,4 +1,4 @@
-"""Reader of Photron recordings: pixels in `.mraw`, the header in the `.cih` (text) or `.cihx` (XML) beside it.
+"""Reader of Photron recordings: pixels in an `.mraw` file, header in a `.cih` (text) or `.cihx` (XML) file.
 
 Source: the headers that Photron FASTCAM Viewer writes; keys are quoted as they stand there.
 """
@@ -42,7 +42,7 @@ XML_PLACES = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a Photron recording by either of its files; raise FingerflowError if the other is missing, or for colour."""
+    """Open a Photron recording, given the path of either the pixel file or the header file."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
     else:
@@ -104,7 +104,7 @@ def open_frames(path: Path) -> FileRecording:
 
 @dataclass(frozen=True)
 class _MrawLayout:
-    """Pixel layout of a frame in an `.mraw` file: how its bytes become grey values."""
+    """Pixel layout of frames in an `.mraw` file, which determines how bytes are converted to grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -116,7 +116,7 @@ class _MrawLayout:
 
 
 def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
-    """Return frame `index` of stored bytes (N, frame_bytes), with packed or shifted pixels converted to grey values."""
+    """Return frame `index` as grey values, from stored bytes (N, frame_bytes) with packed or shifted pixels."""
     data = np.asarray(stored[index])
     if layout.stored_bits == 12:
         return unpack(data, 12, layout.shape)
@@ -125,7 +125,7 @@ def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Fram
 
 
 class _Header:
-    """Entries of a Photron header, `.cih` or `.cihx`, by their names in the `.cih` form."""
+    """Entries of a Photron header file (`.cih` or `.cihx`), under the entry names of a `.cih` file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -168,7 +168,7 @@ class _Header:
 
 
 def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
-    """Return the entries of a `.cih` header, and whether its last line, END, exists."""
+    """Return all entries of a `.cih` header file, and whether the file ends with the line END."""
     entries: dict[str, str] = {}
     # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
     lines = data.decode("latin-1").splitlines(keepends=True)

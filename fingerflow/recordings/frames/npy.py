@@ -1,4 +1,4 @@
-"""Reader of frames in a NumPy `.npy` file: (N, H, W), or (H, W) for one frame; memory-mapped, never loaded whole."""
+"""Reader of frames in a memory-mapped NumPy file: an array (N, H, W), or (H, W) for a single frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a `.npy` file by its header alone; raise FingerflowError unless shape and type are those of grey frames."""
+    """Open a NumPy file by the header only; raise FingerflowError unless shape and type suit grey frames."""
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
         if length > MOST_NPY_HEADER:

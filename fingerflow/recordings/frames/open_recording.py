@@ -1,4 +1,4 @@
-"""Opening of a recording by the reader for its file format."""
+"""Opening of recordings, with a separate reader for each file format."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _READER_OF = {suffix: reader for reader, suffixes in READERS.items() for suffix 
 
 
 def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> Recording:
-    """Open a recording of any supported format without reading its frames.
+    """Open a recording of any supported format without reading frames.
 
     path: a Phantom `.cine`, either file of a Photron `.mraw` / `.cih` pair, a TIFF stack, a video, an HDF5 file
         (`file.h5` or `file.h5::/group/data set`), a `.npy`, a folder of images, or one image: a recording of one frame.

@@ -1,4 +1,4 @@
-"""Unpacking of grey values of 10 and 12 bits without gaps, most significant bit first (Phantom, Photron cameras)."""
+"""Unpacking of grey values stored in 10 or 12 bits without gaps, as Phantom and Photron cameras do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def unpack(packed: NDArray[np.uint8], bits: int, shape: tuple[int, int]) -> NDArray[np.uint16]:
-    """Unpack grey values of 10 or 12 bits to an image: 5 bytes hold four 10-bit values, 3 bytes two 12-bit values."""
+    """Unpack packed grey values of 10 bits (four in 5 bytes) or 12 bits (two in 3 bytes) to an image."""
     size, values_in_group = (5, 4) if bits == 10 else (3, 2)
     padded = np.pad(packed, (0, -len(packed) % size))  # an incomplete last group
     group = padded.reshape(-1, size).T.astype(np.uint16)
@@ -20,5 +20,5 @@ def unpack(packed: NDArray[np.uint8], bits: int, shape: tuple[int, int]) -> NDAr
 
 
 def packed_bytes(count: int, bits: int) -> int:
-    """Return the number of bytes that `count` packed values of `bits` bits occupy; a frame starts on a whole byte."""
+    """Return the number of bytes that `count` packed values of `bits` bits occupy, rounded up."""
     return (count * bits + 7) // 8

@@ -1,4 +1,4 @@
-"""Interface of all recordings, whatever their file format: frames read on demand, and the time of each frame."""
+"""Common interface of recordings in all file formats: frames read on demand, and the time of each frame."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Frames = NDArray[Any]
 
 @dataclass(frozen=True)
 class Description:
-    """Metadata that a reader takes from a recording's header before it reads any frame; see `Recording`.
+    """Metadata from the header of a recording, taken by a reader before any frame is read; see `Recording`.
 
     `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
     None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
@@ -54,11 +54,11 @@ class Description:
 
 
 class DamagedFrame(FingerflowError):
-    """Error for one frame that cannot be read, although others can; the text is the reason, as in `unreadable`."""
+    """Error for a single frame that cannot be read; the message is the reason, as in `Recording.unreadable`."""
 
 
 class Recording(ABC):
-    """Sequence of grey frames that are read from the file on demand.
+    """Sequence of grey frames that are read from a file on demand.
 
     `recording[3]` is an array (H, W); `recording[10:0:-2]` and `recording[[3, 1, 2]]` are recordings that are read on
     demand too; `read()` returns all frames as (N, H, W) and `batches(n)` yields n at a time.
@@ -86,13 +86,13 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the lossy codec if it predicts frames from others, which invalidates deviations; else None."""
+        """Return the codec if it predicts frames from others, so that standard deviations are invalid; else None."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
-        """Return the damaged frames by index, each with a reason that continues the words "frame 12".
+        """Return a mapping from the index of each damaged frame to a reason that continues the words "frame 12".
 
         Such a frame is read as NaN, or as 0 for integer pixels; no result may be computed from it. Damage that no
         header states (videos, compressed pages) is known only after the frame was read, so check this again after
@@ -102,22 +102,22 @@ class Recording(ABC):
     @property
     @abstractmethod
     def doubtful(self) -> Mapping[int, str]:
-        """Return the frames in which the decoder reported an error that it could get over, by index, with its words.
+        """Return a mapping from the index of each frame that may be wrongly decoded to the decoder's error message.
 
         Some are right, and some hold wrong pixels. Known after the frame was read, as `unreadable` is.
         """
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return the number of frames, without incomplete ones."""
+        """Return the number of complete frames."""
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
-        """Return frame `index` (0 <= index < len) as (H, W); NaN or 0 in all pixels if it is unreadable."""
+        """Return frame `index` as (H, W); if the frame is unreadable, all pixels are NaN, or 0 for integers."""
 
     @abstractmethod
     def close(self) -> None:
-        """Close the file. Reading afterwards is an error."""
+        """Close the recorded file. Reading afterwards is an error."""
 
     @overload
     def __getitem__(self, key: int) -> Frames: ...
@@ -166,14 +166,14 @@ class Recording(ABC):
         return self.read() if frames is None else frames
 
     def batches(self, size: int) -> Iterator[Frames]:
-        """Yield the frames as arrays (n, H, W), n = `size` or less for the last one; one is in memory at a time."""
+        """Yield all frames in consecutive arrays (n, H, W) of n = `size` frames; the last array may be shorter."""
         if size < 1:
             raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
         for start in range(0, len(self), size):
             yield self[start : start + size].read()
 
     def _memory_map(self) -> Frames | None:
-        """Return the memory map (N, H, W) of the frames; None if they have to be decoded."""
+        """Return the memory map (N, H, W) of all frames; None if frames must be decoded."""
         return None
 
     def _view(self, indices: Sequence[int]) -> Recording:
@@ -187,7 +187,7 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """Recording that comprises all frames of one file.
+    """Recording of all frames of a file.
 
     `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
     cannot. `close_file` closes the file.
@@ -225,7 +225,7 @@ class FileRecording(Recording):
             self.replace_rate(self.frame_rate)
 
     def replace_rate(self, frame_rate: float) -> None:
-        """Replace the frame rate and the times of the file: frame i is at (first number + i) / frame_rate.
+        """Replace the frame rate and the frame times by those that follow from a given frame rate.
 
         Time 0 stays at the trigger. A warning tells of a rate that the file contradicts; a video may state that of its
         playback.
@@ -251,7 +251,7 @@ class FileRecording(Recording):
         return MappingProxyType(self._doubtful)
 
     def _decode(self, index: int) -> Frames:
-        """Read the pixels of frame `index` as (H, W), or raise DamagedFrame; no other method reads pixels."""
+        """Return the pixels (H, W) of frame `index`; raise DamagedFrame if they cannot be decoded."""
         if self._frames is None:
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         if isinstance(self._frames, np.ndarray):
@@ -283,7 +283,7 @@ class FileRecording(Recording):
 
 
 class _View(Recording):
-    """Recording that consists of selected frames of a file, in any order."""
+    """Recording of selected frames of a file, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
         super().__init__(file)
@@ -326,7 +326,7 @@ class _View(Recording):
 
 
 def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
-    """Return the rate of selected frames: every second frame of 300 Hz gives 150 Hz, uneven spacing gives None."""
+    """Return the frame rate of selected frames: 150 Hz for every second frame of 300 Hz, None for uneven spacing."""
     if rate is None or len(indices) < 2:
         return rate
     step, *others = {abs(one) for one in _steps(indices)}
@@ -341,12 +341,12 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 
 def possible_rate(rate: float) -> bool:
-    """Return whether frames can follow each other at a rate in Hz, and their times differ and are finite."""
+    """Return whether a frame rate in Hz is possible: finite, positive, and such that frame times differ."""
     return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
-    """Check that a data type can hold grey values, and return it.
+    """Return a data type unchanged, after checking that it can hold grey values.
 
     Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
     """
@@ -359,14 +359,14 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
 
 
 def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
-    """Return the warning for `left` bytes of a file behind its `count` frames, if they have room for another frame."""
+    """Return a warning if `left` bytes after the last of `count` frames could hold further frames; else nothing."""
     more = left // frame_bytes
     said = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
     return (f"{said}: copy it again, or correct the header",) if more > 0 else ()
 
 
 def lossy_codec(name: str) -> str:
-    """Return the warning to the user that a lossy codec has changed the pixels.
+    """Return a warning for the user that a lossy codec has altered the pixels.
 
     A codec that compresses each frame by itself leaves an error that differs from frame to frame. Residuals include it,
     and deviations from them are valid: on the shipped press as Motion JPEG two of three errors lie within the stated

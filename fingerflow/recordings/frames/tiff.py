@@ -1,4 +1,4 @@
-"""Reader of TIFF stacks: one page a frame, ImageJ stacks, BigTIFF; memory-mapped if the pixels are contiguous."""
+"""Reader of TIFF stacks with one page per frame, including ImageJ stacks and BigTIFF."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a TIFF stack by its page tags; raise FingerflowError for colour, two axes of frames or differing pages.
+    """Open a TIFF stack by the page tags; raise FingerflowError unless all pages are grey frames of one shape and type.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.
@@ -46,7 +46,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
-    """Return one frame of a TIFF stack whose pixels are compressed or not contiguous."""
+    """Return one frame of a TIFF stack that cannot be memory-mapped."""
     image = np.asarray(pages[index].asarray())
     if image.size != shape[0] * shape[1]:
         raise DamagedFrame(f"is {image.shape} and not {shape}")
@@ -54,7 +54,7 @@ def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
 
 
 class _Complaints(logging.Filter):
-    """Log filter that collects tifffile's messages about a damaged file, which it opens nevertheless."""
+    """Log filter that collects the messages of tifffile about a damaged file."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class _Complaints(logging.Filter):
 
 
 def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
-    """Return the positions of the headers of pages, each of which states the next; raise FingerflowError for a loop.
+    """Return the file positions of all page headers, which form a linked chain; raise FingerflowError for a loop.
 
     tifffile checks for loops only at the hundredth page, and not at all where it takes pages one by one.
     """
@@ -93,7 +93,7 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
 def _describe(
     path: Path, file: tifffile.TiffFile, headers: set[int], complaints: list[str]
 ) -> tuple[Description, Sequence[Any] | Frames]:
-    """Return the header and either a memory map of the frames, or their pages, which are decoded one by one."""
+    """Return the header of a TIFF stack, and either a memory map of all frames or the pages, to be decoded singly."""
     series: Any = file.series
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
@@ -176,7 +176,7 @@ def _describe(
 
 
 def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
-    """Return the strips and tiles of pages as (first byte, byte behind it, number of the page), in order."""
+    """Return the byte ranges of all strips and tiles as sorted tuples (first byte, end, page number)."""
     return sorted(
         (offset, offset + length, number)
         for number, page in pages.items()
@@ -185,7 +185,7 @@ def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Return why the `frame_bytes` bytes of pixels of a page cannot be read, judged by its header; "" if they can."""
+    """Return the reason why the pixels of a page cannot be read, judged by the page header; "" if none is found."""
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))

@@ -1,4 +1,4 @@
-"""Reader of AVI, MP4, MKV and MOV files, decoded by FFmpeg (PyAV): exact random access in bounded memory.
+"""Reader of video files (AVI, MP4, MKV, MOV), decoded by FFmpeg (PyAV), with exact access to any frame.
 
 Grey is kept as stored, with more than 8 bits too. Of a YUV video the luma plane is taken as stored, without stretching
 its range. RGB is accepted if the three channels are equal, as many programs save grey without loss; a frame in colour
@@ -36,8 +36,7 @@ CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder f
 
 
 def open_frames(path: Path) -> VideoRecording:
-    """Open a video and find the position of each frame without decoding; raise FingerflowError if FFmpeg cannot read
-    it.
+    """Open a video and index all frames without decoding; raise FingerflowError if FFmpeg cannot read the file.
 
     Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
     """
@@ -94,7 +93,7 @@ def open_frames(path: Path) -> VideoRecording:
 
 
 class VideoRecording(FileRecording):
-    """Recording of a video file: decodes from the key frame before the requested frame and caches the last frames.
+    """Recording of a video file, decoded from the key frame before a requested frame, with a cache of decoded frames.
 
     Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
@@ -146,14 +145,14 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and those that may be made from it."""
+        """Mark a frame as unreadable, and all frames that may be decoded from it."""
         self._unreadable.setdefault(number, reason)
         for other in self._made_from(number):
             self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
             self._cache.pop(other, None)
 
     def _made_from(self, number: int) -> range:
-        """Return the frames that may be made from one: all that the decoder has not given yet, to the next key frame.
+        """Return the frames that may be decoded from a given frame: all undelivered ones up to the next key frame.
 
         Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
         """
@@ -173,7 +172,7 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Yield decoded frames with their numbers from key frame `key` on, without frames shown before it."""
+        """Yield (number, decoded frame) from key frame `key` on, without frames that are shown before frame `key`."""
         count = 0
         packets = self._container.demux(stream)
         while True:
@@ -216,7 +215,7 @@ class VideoRecording(FileRecording):
 
 @dataclass(frozen=True)
 class _Index:
-    """Index of a video: frame times, and frames at which decoding can start.
+    """Index of a video: times of all frames, and the key frames at which decoding can start.
 
     `stamps`: ticks in display order, None if the file has no usable ones (then decoding always starts at the
     beginning). `keys`: numbers of the frames at which decoding can start, in order. `numbers`: frame numbers by stamp.
@@ -232,7 +231,7 @@ class _Index:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixel format of a video: how a decoded image becomes grey values."""
+    """Pixel format of a video, which determines how decoded images are converted to grey values."""
 
     name: str
     shape: tuple[int, int]
@@ -262,7 +261,7 @@ class _Pixels:
 
 @contextmanager
 def _reported_errors() -> Iterator[list[str]]:
-    """Collect what FFmpeg reports as errors, in all threads of a decoder; most go on behind them with a picture."""
+    """Yield a list that, after the context, holds all errors that FFmpeg reported in any decoder thread."""
     found: list[str] = []
     with _REPORTS:
         level = av.logging.get_level()
@@ -281,13 +280,13 @@ def _open(path: Path) -> Any:
 
 
 def _has_checksums(path: Path) -> bool:
-    """Return whether an FFV1 stream has checksums: true if one of its first five packets has valid ones."""
+    """Return whether an FFV1 stream has checksums, judged by the first five packets."""
     with _open(path) as container, reading(path, "video"):
         return any(slices_are_whole(bytes(packet)) for packet in islice(container.demux(video=0), 5))
 
 
 def _lossy(codec: Any) -> str | None:
-    """Return the name of a video's codec if it is lossy, else None. Lossless H.264 is recognised by its profile."""
+    """Return the name of a video codec if lossy, else None. Lossless H.264 is recognised by its profile."""
     if codec.codec.lossless and not codec.codec.lossy:
         return None
     lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)
@@ -295,7 +294,7 @@ def _lossy(codec: Any) -> str | None:
 
 
 def unfinished(path: Path) -> str:
-    """Return in words how a Matroska file (MKV, WebM) is incomplete; "" if it is complete or of another format.
+    """Return how a Matroska file (MKV, WebM) is incomplete, as text; "" if it is complete or in another format.
 
     The program that writes the file states the segment's length only when it has finished. Source: RFC 9559 (Matroska)
     and RFC 8794 (EBML), variable-size integers.
@@ -315,7 +314,7 @@ def unfinished(path: Path) -> str:
 
 
 def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return a variable-size integer (Matroska) and where it ends; None if its value is stored as unknown."""
+    """Return a Matroska integer of variable length and the end position; None if the value is marked unknown."""
     first = data[at] if at < len(data) else 0
     width = 9 - first.bit_length()
     if width > 8:
@@ -375,7 +374,7 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
 
 
 def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
-    """Return for each readable packet: time stamp, whether decoding can start there, and whether it is damaged."""
+    """Return (time stamp, is key frame, is damaged) for each readable packet of a video."""
     found: list[tuple[Any, bool, bool]] = []
     try:
         for packet in container.demux(stream):

@@ -1,1 +1,1 @@
-"""Protection of the readers against files that are damaged, truncated or hostile."""
+"""Protection of file readers against damaged, truncated or hostile files."""

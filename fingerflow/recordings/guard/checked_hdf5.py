@@ -1,4 +1,4 @@
-"""Opening of HDF5 files only after another process has traversed them without a crash."""
+"""Opening of HDF5 files only after a child process has traversed the file without a crash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KIND = "HDF5"
 
 
 def open_hdf5(path: Path, **options: Any) -> h5py.File:
-    """Open an HDF5 file for reading, after a separate process has traversed it without a crash.
+    """Open an HDF5 file for reading, after a child process has traversed the file without a crash.
 
     Raises FingerflowError where the file cannot be opened, or where traversing it ended that process (see
     :func:`check_in_child_process`).
@@ -30,7 +30,7 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
 
 
 def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:
-    """Return an HDF5 attribute's number, None without the attribute; raise FingerflowError if it is not one number."""
+    """Return an HDF5 attribute as a number, or None if it is missing; raise FingerflowError for any other value."""
     if name not in item.attrs:
         return None
     value = np.asarray(item.attrs[name])
@@ -40,7 +40,7 @@ def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> 
 
 
 def stored_whole(values: h5py.Dataset, path: Path) -> None:
-    """Check that a file can contain all values that a data set claims to have, before memory is allocated for them.
+    """Check that a file is large enough for all values that an HDF5 data set claims, before memory is allocated.
 
     Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are
     missing: HDF5 itself silently returns zeros for these.
@@ -67,7 +67,7 @@ def stored_whole(values: h5py.Dataset, path: Path) -> None:
 
 
 def read_whole(values: h5py.Dataset, path: Path) -> np.ndarray[Any, Any]:
-    """Return all values; raise FingerflowError where a chunk was never written: HDF5 returns its fill value there."""
+    """Return all values of an HDF5 data set; raise FingerflowError if a chunk of the data set was never written."""
     stored_whole(values, path)
     if values.chunks is not None and not values.is_virtual:
         for at in product(*(range(0, length, step) for length, step in zip(values.shape, values.chunks, strict=True))):

@@ -1,4 +1,4 @@
-"""Child process that reads a file first, so that a damaged file crashes the child and not the caller."""
+"""Child process that reads each file first, so that a damaged file crashes the child and not the caller."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST_IDLE_SECONDS = 120.0  # for disks that do not respond
 
 
 def check_in_child_process(path: Path, kind: str) -> None:
-    """Check that a child process can traverse a file without a crash; `kind` is a key of `child_reader.READERS`.
+    """Check that a child process can read a file of a given `kind` (key of `child_reader.READERS`) without a crash.
 
     The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
@@ -37,7 +37,7 @@ def check_in_child_process(path: Path, kind: str) -> None:
 
 
 def read_matlab_apart(path: Path) -> dict[str, Any]:
-    """Return the content of a MATLAB file as read by the child process.
+    """Return the content of a MATLAB file, read apart from the calling process, in a child process.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
@@ -62,7 +62,7 @@ def _from_json(value: Any) -> Any:
 
 
 class _ChildProcess:
-    """Child process that traverses files; it is started on first use, and again after a file has crashed it."""
+    """Child process that traverses files, started on first use and restarted after each crash."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -71,7 +71,7 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process traverse a file; return what is wrong with it, "" if nothing, or its content."""
+        """Let the child process read a file; return the content, or a text that says what is wrong, "" if nothing."""
         with self._lock:
             process = self._running()
             if process is None:
@@ -114,7 +114,7 @@ class _ChildProcess:
         return process
 
     def _answer(self, process: subprocess.Popen[str], line: str | None) -> Any:
-        """Send a request to the child process and return its answer; None if the process has ended."""
+        """Send a request to the child process and return the answer; None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
         try:

@@ -1,4 +1,4 @@
-"""Traversal of files in a child process, because libraries crash, loop or exhaust memory on damaged ones.
+"""Traversal of files in a child process, since libraries crash, loop or exhaust memory on damaged files.
 
 Run as a script, it reads a line of JSON a file, with path and kind, and answers in a line each. It performs the same
 operations as the readers on everything that they may access. Exceptions are ignored, because the reader gets the same
@@ -26,7 +26,7 @@ SHUFFLE, FLETCHER32, CHECKSUM_BYTES = 2, 3, 4  # numbers of HDF5's filters that 
 
 
 def main() -> None:
-    """Traverse files named on the standard input, one a line, and print an answer for each, until the input ends."""
+    """Traverse each file named in a line of standard input, and print an answer, until the input ends."""
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Run `through` on a file with limits of time and memory; return what is wrong, "" if nothing, or content."""
+    """Call `through` on a file with limits of time and memory; return the content, or what is wrong, "" if nothing."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -51,7 +51,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Read objects, attributes and indexes of chunks of an HDF5 file, without values; return what is wrong, or ""."""
+    """Traverse objects, attributes and chunk indexes of an HDF5 file; return what is wrong, or ""."""
     import h5py
 
     count = 0
@@ -74,7 +74,8 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or a text that says what is wrong with it.
+    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or a text that says what is wrong in the
+    file.
 
     SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
     elsewhere. Therefore the values themselves are passed on.
@@ -91,14 +92,14 @@ def through_matlab(path: str) -> str | dict[str, Any]:
 
 
 def read_matlab(path: str) -> Any:
-    """Return the content of a MATLAB file by name; structs are mappings."""
+    """Return all variables of a MATLAB file by name, with structs as mappings."""
     from pymatreader import read_mat
 
     return read_mat(path)
 
 
 def as_json(value: Any) -> Any:
-    """Convert values to JSON types: mappings, texts, arrays of numbers as {".npy": base64}, None for all else."""
+    """Convert values to JSON types, with numeric arrays as {".npy": base64} and None for unsupported types."""
     import numpy as np
 
     if isinstance(value, dict):
@@ -117,7 +118,7 @@ def as_json(value: Any) -> Any:
 
 
 def through_tdms(path: str) -> str:
-    """Traverse the segments of a TDMS file and their metadata, without values; return "" if that succeeds."""
+    """Traverse the metadata of all segments of a TDMS file; return "" on success."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(path):
@@ -125,7 +126,7 @@ def through_tdms(path: str) -> str:
 
 
 def through_video(path: str) -> str:
-    """Open a video and let FFmpeg read its header, index and first frames; return "" if that succeeds."""
+    """Let FFmpeg read header, index and first frames of a video; return "" on success."""
     import av
 
     with av.open(path, metadata_errors="replace"):
@@ -141,7 +142,7 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
 
 
 def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
-    """Return what is wrong with the index of chunks of a data set; HDF5 itself reads zeros or bytes of others then.
+    """Return what is wrong in the chunk index of an HDF5 data set, since HDF5 reads wrong values without an error.
 
     Each chunk has a place of its own in the grid and bytes of its own in the file, as many as its filters leave it.
     Chunks that were never written are allowed. HDF5 crashes on a chunk that is shorter than its checksum.
@@ -204,7 +205,7 @@ def _limit_memory(path: str, allowed: int) -> None:
 
 
 def _limit_time(seconds: float) -> None:
-    """Limit the CPU time of the process from now on; a signal ends it after `seconds`, and 0 removes the limit."""
+    """Limit the CPU time of this process to `seconds` from now, after which a signal ends it; 0 removes the limit."""
     import signal
 
     if hasattr(signal, "setitimer"):

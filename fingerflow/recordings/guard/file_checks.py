@@ -1,4 +1,4 @@
-"""Checks that a file is readable and of plausible size, and conversion of library exceptions to messages."""
+"""Checks that files are readable and plausible in size, and conversion of library exceptions to error messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KINDS = (
 
 
 def check_file(path: Path) -> int:
-    """Check that a path is a file that can be opened, and return its size in bytes.
+    """Check that a path is a readable file, and return the file size in bytes.
 
     Raises FingerflowError if it is not a file (opening a pipe would block), does not exist, or may not be read.
     """
@@ -43,7 +43,7 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def reading(path: Path, kind: str) -> Iterator[None]:
-    """Context for calls of file libraries that converts any exception into FingerflowError with file and remedy.
+    """Context that converts any exception of a file library into a FingerflowError with file name and remedy.
 
     Libraries of file formats do not specify what they raise for a damaged file: struct.error, KeyError, AssertionError,
     ZeroDivisionError and codecs' own exceptions were observed. Therefore every exception is converted; the context
@@ -61,5 +61,5 @@ def reading(path: Path, kind: str) -> Iterator[None]:
 
 
 def plausible_size(claimed: int, stored: int) -> bool:
-    """Return whether `stored` bytes can decompress to `claimed` bytes; checked before memory is allocated."""
+    """Return whether `stored` compressed bytes can plausibly expand to `claimed` bytes."""
     return claimed <= MOST_COMPRESSED * stored + _ALWAYS

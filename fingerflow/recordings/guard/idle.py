@@ -1,4 +1,4 @@
-"""Time limit for a process that makes no progress; time in which it waits for a busy machine does not count."""
+"""Time limit for a process that makes no progress, not counting time during which the machine is busy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # running, or waiting 
 
 
 class IdleLimit:
-    """Context that kills a process which is idle for too long.
+    """Context that kills a child process that is idle for too long.
 
     It checks once a second. A check counts as idle if neither the process nor any of its children is running, waits for
     a CPU, or has used CPU time since the check before. Time in which other programs occupy the machine, or in which it

@@ -1,4 +1,4 @@
-"""Conversion of a result to a table with rows and named columns."""
+"""Conversion of a result to tables with named columns."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -12,14 +12,14 @@ from fingerflow.schema.variable_record import LABELS
 
 
 class Table(NamedTuple):
-    """Table with C columns, whose `names` (C,) include units, and R `rows` (R, C)."""
+    """Table of R rows and C columns: names (C,) of the columns with units, and values as rows (R, C)."""
 
     names: tuple[str, ...]
     rows: NDArray[np.float64]
 
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return a table with one row per frame: frame, time, and the variables of frames."""
+    """Return a table with one row per frame: frame number, time, and every variable that has one value per frame."""
     columns = {"frame": result["frame"].values, **_of(result["time"])}
     for values in _chosen(result, variables, ("frame",)):
         columns |= _of(values)
@@ -27,8 +27,7 @@ def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return a table with one row per point and frame, ordered by frame: frame, time, point, and the variables of
-    points.
+    """Return a table with one row per point and frame: frame, time, point, and every variable of points.
 
     A variable of points alone, such as the onset, is repeated in every frame.
     """
@@ -43,7 +42,7 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return tracks as `napari.layers.Tracks` requires them: ID, t, y, x in frames and px, sorted by ID and time.
+    """Return point tracks as an array for `napari.layers.Tracks`: track ID, frame, y, x, sorted by ID and frame.
 
     Rows exist where a point is tracked. The named `variables` are further columns, napari's properties.
     """
@@ -71,7 +70,7 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
 
 
 def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Yield the variables with one of these dimensions, with or without components; `variables` limits them by name."""
+    """Yield all variables (or those named in `variables`) that have one of the given tuples of dimensions."""
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -91,7 +90,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return the table columns of a variable, one for each component, by names with units."""
+    """Return a mapping from column name with unit to values, one column per component of a variable."""
     units = values.attrs["units"]
     if values.dims[-1] not in LABELS:
         return {f"{values.name} ({units})": values.values}

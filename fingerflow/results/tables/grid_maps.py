@@ -1,4 +1,4 @@
-"""Maps of a variable of points or triangles, interpolated on a regular grid of the glass."""
+"""Maps of a variable, interpolated from points or triangles of skin to a regular grid of the glass."""
 
 import json
 from typing import NamedTuple
@@ -18,8 +18,7 @@ _MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
 
 
 class Maps(NamedTuple):
-    """Maps of a variable, `values` (F, C, H, W) float32 for F frames and C components, at grid positions x[k], y[j] mm
-    on the glass; NaN where not known.
+    """Maps (F, C, H, W) of a variable on a regular grid of the glass, for F frames and C components; NaN where unknown.
 
     Attributes:
         name: of the variable; `units` its unit; `components` the names of its components, () for a scalar.
@@ -39,14 +38,14 @@ class Maps(NamedTuple):
 
     @property
     def about(self) -> str:
-        """Return a text with unit, origin and spacing of the maps, for file formats without such fields."""
+        """Return a text with unit, origin and spacing of the maps, for file formats that cannot store these."""
         return (
             f"{self.name} in {self.units}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
             f"glass, pixels are {self.step_mm:g} mm apart, the first frame is {self.frames[0]} at {self.times[0]:.6g} s"
         )
 
     def table(self) -> Table:
-        """Return a table with one row per grid position and frame at which the variable is known."""
+        """Return a table with one row for each grid position and frame where the variable is known."""
         frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
         places = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
         named = [f"_{one}" for one in self.components] or [""]
@@ -55,7 +54,7 @@ class Maps(NamedTuple):
 
 
 def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
-    """Interpolate a variable on a grid of the glass, at the positions of the skin in each frame.
+    """Interpolate a variable to a regular grid of the glass in each frame, at the current positions of the skin.
 
     A variable of points is interpolated linearly in the Delaunay triangles of their positions in the frame (Barber et
     al. 1996). It is known within half a gauge length of a point that has a value; farther away no gradient is fitted
@@ -115,7 +114,7 @@ def _gauge_mm(result: xr.Dataset) -> float:
 def _of_points(
     points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """Interpolate a variable of points in one frame at the grid positions, as (H, W, C)."""
+    """Interpolate a variable of points to the grid positions in one frame, as (H, W, C)."""
     found = np.full((*places.shape[:2], values.shape[1]), np.nan)
     usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
     if usable.sum() < 3:
@@ -136,7 +135,7 @@ def _of_triangles(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return at each grid position the value of the triangle that covers it, as (H, W, C)."""
+    """Return the value (H, W, C) of the triangle that covers each grid position, in one frame."""
     found = np.full((len(y), len(x), values.shape[1]), np.nan)
     for triangle, value in zip(points[corners], values, strict=True):
         if not (np.isfinite(triangle).all() and np.isfinite(value).any()):

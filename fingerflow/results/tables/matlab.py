@@ -1,4 +1,4 @@
-"""Export of a result to MATLAB, whose indices count from 1."""
+"""Export of results to MATLAB files, with indices that count from 1."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ _ABOUT = (
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:
-    """Write a result to a .mat file: all variables, `units`, `definitions`, `settings`, `warnings` and `about`."""
+    """Write a result to a .mat file: all variables, and structs of units, definitions, settings and warnings."""
     content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
     content["time"], content["frame"] = result["time"].values, result["frame"].values
     if "triangles" in content:
@@ -39,7 +39,7 @@ def save_matlab(result: xr.Dataset, path: Path) -> None:
 
 
 def _for_matlab(value: Any) -> Any:
-    """Convert nested settings to nested structs for MATLAB; None becomes an empty array."""
+    """Convert nested dictionaries to nested MATLAB structs, with an empty array in place of None."""
     if isinstance(value, dict):
         return {name: _for_matlab(one) for name, one in value.items()}
     return np.zeros((0, 0)) if value is None else value

@@ -1,4 +1,4 @@
-"""Export of tables and maps to files whose format follows from the suffix."""
+"""Export of tables and maps to files; the file suffix selects the format."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ def export_table(
     variables: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a table as .csv, or the whole result as .mat.
+    """Write a table of a result as .csv, or the complete result as .mat.
 
     Args:
         result: of `process`, or of a stream.
@@ -55,7 +55,7 @@ def export_table(
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
-    """Write maps of a variable of points or triangles on a regular grid of the glass, one for every frame.
+    """Write the map of a variable on a regular grid of the glass to a file, for every frame.
 
     Args:
         result: of `process`.
@@ -81,7 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file is a table or map of this module, by its first bytes, its variables, or its tags."""
+    """Return whether a file was written by this module, judged by first bytes, variables or tags of the file."""
     try:
         if path.suffix == ".mat":
             return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}

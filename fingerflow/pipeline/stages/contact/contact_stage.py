@@ -1,4 +1,4 @@
-"""Contact of every frame: real and apparent (gross) area, fitted ellipse, and the gross contact region."""
+"""Contact in every frame: real and apparent (gross) area, fitted ellipse, and region of the apparent contact."""
 
 from typing import Any, ClassVar
 
@@ -31,8 +31,8 @@ _STEADY = 0.01  # change of illumination gain that does not change areas
 
 
 class ContactStage(Stage):
-    """Stage that measures areas, ellipse and gross region of the contact, batch by batch, by the engine. It keeps
-    numbers, never pictures.
+    """Stage that measures real area, gross area, gross region and fitted ellipse of the contact in every frame. It
+    keeps numbers, never pictures.
 
     Attributes:
         series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
@@ -112,7 +112,7 @@ class ContactStage(Stage):
         return contact
 
     def finish(self) -> None:
-        """Write the series of all frames to the results; warn if illumination may have changed by an unknown amount."""
+        """Store contact areas and ellipses of all frames; warn if brightness may have changed by an unknown factor."""
         first_frame = self.inputs.scene.recording.first_frame
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
@@ -144,13 +144,13 @@ class ContactStage(Stage):
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
 
     def cells(self) -> dict[str, float]:
-        """Return attributes that place a contact region's cells on the glass: side and centre of the first one, mm."""
+        """Return attributes of the grid of contact cells: cell size, and centre of the first cell, in mm."""
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the mask (1, 1, h, w) of the gross contact in the reference frame, joined with the first usable
-        frame's if that lies outside.
+        """Return the gross contact (1, 1, h, w) in the reference frame, joined with the first frame's if the two differ
+        much.
 
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
         has left its first region since, and skin there has no onset to wait for.
@@ -159,7 +159,7 @@ class ContactStage(Stage):
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the mask (1, 1, h, w) of the gross contact in the first usable or the reference frame, with a margin.
+        """Return the union of the gross contacts in the first usable and the reference frame, dilated, as (1, 1, h, w).
 
         A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
         sides of the contact border.
@@ -174,13 +174,13 @@ class ContactStage(Stage):
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
     def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
-        """Return the skin that touches in the reference frame."""
+        """Return the patch of skin in contact in the reference frame, for the analysis of ridges."""
         frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
         dark = np.float32(0) if black is None else black
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
 
     def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
-        """Return the share of the lit view in which a frame is brighter than the empty glass, up to the gain."""
+        """Return the share of lit pixels that are brighter in a frame than on the empty glass, gain included."""
         frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
         images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
@@ -215,7 +215,7 @@ class ContactStage(Stage):
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Return the mean intensity of a frame relative to the empty glass, divided by the illumination gain.
+        """Return the mean ratio of a frame's intensity to that of the empty glass, corrected for illumination gain.
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
@@ -228,7 +228,7 @@ class ContactStage(Stage):
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
-        """Return the threshold of relative intensity loss for all frames; None if each frame has its own."""
+        """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame."""
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
             return None

@@ -1,4 +1,4 @@
-"""Real contact area by the steps that Willemet et al. (2021) print, for comparison with published values."""
+"""Real contact area by the steps printed in a paper (Willemet et al., 2021), for comparison with that paper."""
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ _MEDIAN_PX = 9
 
 
 class PrintedContactStage(Stage):
-    """Stage that measures the real contact area by figure S3 A of Willemet et al. (2021).
+    """Stage that measures the real contact area by the steps of a published figure (Willemet et al., 2021, S3 A).
 
     The intensity relative to the empty glass is subtracted from that at the first instant of contact. A median filter
     of 9 x 9 px and Otsu's threshold of every frame follow, and pixels are counted. The eroded area, by a unit diamond,

@@ -1,1 +1,1 @@
-"""Stages that measure the displacement of points."""
+"""Stages that measure the displacement of tracked skin points."""

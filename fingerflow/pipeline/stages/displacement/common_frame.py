@@ -1,4 +1,4 @@
-"""Common reference configuration for points that were seeded in different frames, as coordinates of the skin."""
+"""Common reference configuration of the skin for points that were seeded in different frames."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ Points = NDArray[np.float64]
 
 
 class CommonFrame(NamedTuple):
-    """Positions of all points in the configuration of the first seeding, also of points seeded later.
+    """Positions of all points in the frame of the first seeding, extrapolated for points that were seeded later.
 
     Attributes:
         places: (N, 2) mm. For a point seeded later: its position then, less the displacement of the points around it
@@ -31,8 +31,7 @@ class CommonFrame(NamedTuple):
 
 
 def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Compute positions at the first seeding for all points, from `position` (frames, N, 2) mm and `status` (frames,
-    N).
+    """Compute the positions (N, 2) mm of all points in the frame of the first seeding, from tracks and track status.
 
     They were first seeded in frame `first` and tracked from there, forward or `backward`.
 
@@ -59,7 +58,7 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
 
 
 def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
-    """Return the frame in which each of the points `later` (L,), which are indices, was seeded.
+    """Return the seeding frame (L,) of each of the L points with the indices `later`.
 
     That is the first frame in which they are tracked, or the last one for backward tracking.
     """

@@ -1,4 +1,4 @@
-"""Displacement of each point since its own onset of contact, or since one frame common to all points."""
+"""Displacement of each point, counted from the point's onset of contact or from one frame common to all points."""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -28,7 +28,8 @@ Points = NDArray[np.float64]
 
 
 class Moved(NamedTuple):
-    """Displacement of N points in n frames since the reference; NaN before contact and for points that never touch.
+    """Displacement of N points in n frames from the reference position; NaN before contact and for points that never
+    touch.
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
@@ -40,7 +41,7 @@ class Moved(NamedTuple):
 
 
 class DisplacementStage(Stage):
-    """Stage that determines each point's reference position with its uncertainty, and its displacement from there.
+    """Stage that measures the displacement of each point from a reference position, and the uncertainty of both.
 
     `fields.reference` selects the reference: each point's own onset of contact, which is uncertain, or one frame for
     all.
@@ -154,12 +155,12 @@ class DisplacementStage(Stage):
         self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
 
     def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the variance (n, N) mm^2 of a position component in these frames, by registration with templates."""
+        """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames."""
         variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self.mm_per_px)) ** 2
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """Return the covariance (n, N, 2, 2) mm^2 of displacements of N points in n frames; NaN if these are NaN."""
+        """Return the covariance (n, N, 2, 2) mm^2 of the displacements of N points in n frames; NaN if unknown."""
         result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
         for component in range(2):
             result[..., component, component] += moved.variance
@@ -210,7 +211,7 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement since each point's touch in the next frames `indices` (n,) of a series."""
+        """Return the displacement of each point since the point came into contact, in the n frames `indices`."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
@@ -236,7 +237,7 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of a displacement component by image noise.
+        """Return the variance (n, N) px^2 of each displacement component that results from image noise.
 
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself.
@@ -255,8 +256,8 @@ class DisplacementStage(Stage):
         return result
 
     def _find_errors_of_onset(self) -> None:
-        """Compute the covariance (N, 2, 2) mm^2 of each onset position: the point's velocity at onset times the timing
-        error.
+        """Compute the covariance (N, 2, 2) mm^2 of onset positions, from timing errors and the speeds of points at
+        onset.
 
         The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
         takes d frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is
@@ -297,12 +298,12 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return positions (..., N, 2) mm of N points, each in the frame given for it (..., N); -1 is the last."""
+        """Return positions (..., N, 2) mm of N points in individual `frames` (..., N); frame -1 is the last one."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Positions of the points in the common reference frame; NaN for points that are not known in it."""
+    """Positions of all points in the common reference frame; NaN for points not tracked in that frame."""
 
     place: Points  # (N, 2) mm
     place_px: Points
@@ -310,12 +311,12 @@ class _Fixed(NamedTuple):
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
-    """Return the frame indices 0 to `frames` - 1, split into runs of `_FRAMES`."""
+    """Split the frame indices 0 to `frames` - 1 into arrays of `_FRAMES` consecutive indices."""
     return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Return `values` (frames, N, ...) of P `points`, all by default, each in its frame of `frames`: (..., P, ...)."""
+    """Return the values (..., P, ...) of points in individual `frames` (..., P), from `values` (frames, N, ...)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

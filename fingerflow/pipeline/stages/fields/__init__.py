@@ -1,1 +1,1 @@
-"""Stages that compute divergence, curl, shear and strain from local fits, and their medians."""
+"""Stages that compute divergence, curl, shear and strain by local fits, and medians over the contact."""

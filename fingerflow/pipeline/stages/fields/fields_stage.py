@@ -1,4 +1,4 @@
-"""Divergence, curl, shear and strain by local fits, medians over the gross contact, and residuals of rigid motion."""
+"""Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
 import numpy as np
 import torch
@@ -19,13 +19,13 @@ from fingerflow.tracker.entry import EntryGradients
 
 
 def _tensors_of(found: FrameFields) -> graphs.Fields:
-    """Convert the engine's fields from NumPy arrays to torch tensors."""
+    """Convert the deformation fields that the engine computed from NumPy arrays to torch tensors."""
     known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
     return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
 
 class FieldsStage(Stage):
-    """Stage that fits displacement gradients at the points, in reference coordinates, frame by frame."""
+    """Stage that fits the displacement gradient at every point in every frame, in reference coordinates."""
 
     name = "fields"
     gives = FIELDS
@@ -88,7 +88,7 @@ class FieldsStage(Stage):
         )
 
     def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return the displacement gradients of points that were advected into the contact, with their covariance."""
+        """Return displacement gradients, and covariances, at points that were advected (entered) into the contact."""
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)

@@ -1,4 +1,4 @@
-"""Uncertainty of medians over the contact beyond errors of points: gauge length, contact border, unknown skin.
+"""Uncertainty of medians over the contact that does not come from position errors of the tracked points.
 
 It does not fall with the number of points. Tests with known truth: a press, a slide, and a contact through which skin
 passes.
@@ -20,8 +20,7 @@ EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact
 
 
 class MedianBias:
-    """Variance of medians in T frames beyond errors of points; medians are of divergence, curl and strain (exx, eyy,
-    exy).
+    """Variance of the medians of divergence, curl and strain in T frames that does not come from position errors.
 
     It has four parts:
 
@@ -51,7 +50,7 @@ class MedianBias:
     def look(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """Process n frames with fields `found` and displacements; `entered` (n, N) marks advected points."""
+        """Add n frames to the estimate: `found` are the fields of points, `entered` (n, N) marks advected points."""
         assert found.median is not None
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
@@ -78,7 +77,7 @@ class MedianBias:
         self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
     def square(self) -> NDArray[np.float64]:
-        """Return the variance (T, 5) of medians beyond errors of points, in T frames: divergence, curl, exx, eyy, exy.
+        """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, position errors excluded.
 
         Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
         NaN if there is none.
@@ -93,7 +92,8 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of the medians in n frames because the rank of the median is uncertain.
+    """Return the part of the variance (n, 5) of the medians in n frames that comes from an uncertain rank of the
+    median.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.
@@ -115,7 +115,7 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
     def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the squared half difference of field values `reach` (k, 1) ranks above and below the median."""
+        """Return the square of half the difference between values `reach` (k, 1) ranks above and below the median."""
         low, high = (
             ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)
@@ -131,5 +131,5 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
 
 
 def _five(found: Fields) -> Tensor:
-    """Return the fields of N points stacked as (n, 5, N): divergence, curl, exx, eyy, exy."""
+    """Stack divergence, curl, exx, eyy and exy of N points in n frames to a tensor (n, 5, N)."""
     return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1)

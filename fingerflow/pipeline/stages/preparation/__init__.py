@@ -1,1 +1,1 @@
-"""Stages and helpers that open the inputs of a recording and detect unusable frames."""
+"""Stages and helpers that open the inputs of a recording, process the forces, and detect unusable frames."""

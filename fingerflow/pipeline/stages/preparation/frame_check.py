@@ -1,4 +1,4 @@
-"""Detection of unusable frames (dark, saturated, repeated, torn ...) before anything is measured in them."""
+"""Detection of unusable frames: dark, saturated, repeated, torn or unreadable."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ _SAID = {
 
 
 class FrameCheckStage(Stage):
-    """Stage that detects unusable frames from block means of some 20,000 pixels of each view.
+    """Stage that detects unusable frames by means over blocks of pixels in each view.
 
     An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
     been recorded.
@@ -83,7 +83,7 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """Compute distances between the latest frames of a view and the frames before them, from block means."""
+        """Compute how much the latest frames of a view differ from earlier ones, to detect repeated frames."""
         blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
         self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]
@@ -94,7 +94,7 @@ class FrameCheckStage(Stage):
         self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
-        """Set the status of each frame and warn of unusable ones. Raises FingerflowError where no frame is usable."""
+        """Set the status of each frame and warn of unusable frames. Raises FingerflowError where no frame is usable."""
         status = self._status
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
@@ -144,7 +144,7 @@ class FrameCheckStage(Stage):
 
 
 def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return block means (n, rows, columns) of frames (n, H, W)."""
+    """Return the means (n, rows, columns) of blocks of pixels in frames (n, H, W)."""
     return block_means(frames)[0]
 
 

@@ -1,4 +1,4 @@
-"""Inputs of a run, opened and checked: recording, background, calibration and the engine that computes."""
+"""Inputs of a run, opened and checked: recording, background, calibration and compute engine."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -24,7 +24,7 @@ _REFERENCE_FRAMES = 64  # averaged background frames, at most: their noise is an
 
 @dataclass
 class Inputs:
-    """Inputs of a run on a device: scene, opened recording, times and engine.
+    """Inputs of a run on one device: scene, opened recording, frame times and compute engine.
 
     Attributes:
         times: (frames,) s of the selected frames, from the trigger frame where the scene names one.
@@ -47,7 +47,7 @@ class Inputs:
         self.gauge_length_mm = self.scene.fields.gauge_length_mm
 
     def with_scene(self, scene: Scene) -> "Inputs":
-        """Return inputs with the same recording and device, but the settings of another scene and engine "auto"."""
+        """Return a copy of the inputs with the settings of another scene and engine "auto", but the same recording."""
         return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
 
     @property
@@ -81,8 +81,7 @@ class Inputs:
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """Crop frames (n, H, W) to a view and return them as a tensor (n, 1, h, w) on the device; it must not be
-        written to.
+        """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
 
         8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
@@ -94,7 +93,7 @@ class Inputs:
         return self._still(self.scene.background.frames, view)
 
     def dark(self, view: View) -> Tensor | None:
-        """Return the image of a view without light as (1, 1, h, w) float32, or None if none was recorded."""
+        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32, or None if none was recorded."""
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
@@ -127,7 +126,7 @@ class Inputs:
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
-    """Return frames (n, H, W) of a part of a recording. Raises FingerflowError where the system cannot read them."""
+    """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()
     except OSError as error:  # `written_atomically` would report it as an error of the output file
@@ -138,7 +137,7 @@ def read_frames(part: Recording) -> NDArray[Any]:
 
 
 def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
-    """Open the recording of a scene, and check that the scene's views lie within its frames.
+    """Open the recording of a scene, and check that all views of the scene lie within the frames.
 
     `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
 
@@ -211,7 +210,7 @@ def _device(name: str) -> torch.device:
 
 
 def _fits_a_byte(recording: Recording) -> bool | None:
-    """Return True if grey levels have at most 8 bits; None for floating-point frames, whose bit depth is unknown."""
+    """Return whether grey levels fit into 8 bits; None for floating-point frames, whose bit depth is unknown."""
     return None if recording.bit_depth is None else recording.bit_depth <= 8
 
 

@@ -1,4 +1,4 @@
-"""Forces at the times of the frames: aligned, converted to N and low-passed."""
+"""Forces at the times of the frames: aligned to the trigger, converted to newtons and low-pass filtered."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +25,7 @@ Series = NDArray[np.float64]
 
 
 class LoadingStage(Stage):
-    """Stage that reads the forces of the scene, aligns them to the trigger and low-passes them to the frame rate.
+    """Stage that reads the forces of a scene, aligns them to the trigger and resamples them at the times of the frames.
 
     Attributes:
         normal: (frames,) N, NaN outside the force recording; None where the scene has no forces.
@@ -89,7 +89,7 @@ class LoadingStage(Stage):
             self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
 
     def _check_frames(self, file: Path, normal: Series, recorded: Series) -> None:
-        """Warn of forces beyond those of a finger, and of frames that begin after the finger was put down."""
+        """Warn of implausibly large forces, and of recordings that begin when the finger already presses."""
         self.warnings.extend(plausibility.of_force(normal))
         if self.inputs.scene.kind == "slip" or not np.isfinite(normal).any():
             return
@@ -123,7 +123,7 @@ class LoadingStage(Stage):
 
     @property
     def ratio(self) -> Series | None:
-        """Return tangential over normal force (frames,); NaN up to 0.05 N of normal force, None without both forces."""
+        """Return the ratio (frames,) of tangential to normal force; NaN for normal forces below 0.05 N."""
         if self.normal is None or self.tangential is None:
             return None
         pressed = self.normal > _LEAST_NORMAL
@@ -131,7 +131,7 @@ class LoadingStage(Stage):
 
 
 def _channels(settings: ForceSettings) -> dict[str, str | int]:
-    """Return which column of the force file holds each force, by the names of the forces."""
+    """Return a mapping from force name, such as "normal_force", to the column of the force file."""
     tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
     named = [column for column in tangential if column is not None]
     return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}
@@ -150,8 +150,7 @@ def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sens
 
 
 def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> None:
-    """Check that forces suit a pressing finger: in N, positive, and 0 without contact if `rests` says there is such a
-    time.
+    """Check that forces are plausible for a pressing finger: positive, in newtons, and 0 without contact.
 
     Raises FingerflowError for a normal force with the wrong sign; warns of an offset and of a trigger channel in N.
     """

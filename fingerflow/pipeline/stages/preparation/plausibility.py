@@ -1,4 +1,4 @@
-"""Plausibility checks of results and settings: warnings with a remedy."""
+"""Plausibility checks of results and settings; each check returns warnings that state a remedy."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
 
 
 def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning for a ridge period of the contact view, px or NaN, that is none of skin at this scale."""
+    """Return a warning if the measured ridge period (px, or NaN) is not one of skin at the calibrated image scale."""
     period, (least, most) = period_px * mm_per_px, _RIDGE_MM
     if not np.isfinite(period) or least <= period <= most:
         return []
@@ -47,7 +47,7 @@ def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
 
 
 def of_views(offset_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning for views whose ridges are `offset_px` px of the contact view apart, 0 for none."""
+    """Return a warning if the calibration puts skin ridges `offset_px` px apart in the two views; none for 0."""
     if not offset_px:
         return []
     return [
@@ -58,7 +58,7 @@ def of_views(offset_px: float, mm_per_px: float) -> list[str]:
 
 
 def of_background(brighter: float, frame: int) -> list[str]:
-    """Return a warning if a share `brighter` of the lit contact view is brighter in a frame than the background."""
+    """Return a warning if a large share `brighter` of a frame is brighter than the background without a finger."""
     if not brighter > _BRIGHTER_SHARE:
         return []
     return [
@@ -68,7 +68,7 @@ def of_background(brighter: float, frame: int) -> list[str]:
 
 
 def of_young_modulus(modulus_mpa: float) -> list[str]:
-    """Return a warning for a Young's modulus that no skin or gel has."""
+    """Return a warning if a Young's modulus is implausible for skin."""
     least, most = _YOUNG_MPA
     if least <= modulus_mpa <= most:
         return []
@@ -79,7 +79,7 @@ def of_young_modulus(modulus_mpa: float) -> list[str]:
 
 
 def of_force(normal: Series) -> list[str]:
-    """Return a warning for normal forces (frames,) N beyond those of a finger."""
+    """Return a warning if a normal force (frames,) N exceeds what a finger can exert."""
     peak = float(np.nanmax(normal, initial=0.0))
     if peak <= _MOST_FORCE:
         return []
@@ -90,7 +90,7 @@ def of_force(normal: Series) -> list[str]:
 
 
 def of_pressure(normal: Series, gross: Series) -> list[str]:
-    """Return a warning for a mean pressure that no fingertip has, from forces N and gross areas mm^2, (frames,)."""
+    """Return a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
     if not touching.any():
         return []
@@ -107,7 +107,7 @@ def of_pressure(normal: Series, gross: Series) -> list[str]:
 
 
 def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
-    """Return a warning if contact and normal force do not begin together, from N and mm^2 (frames,).
+    """Return a warning if contact (gross areas in mm^2) and normal force (N) do not begin in the same frame.
 
     Force without contact counts everywhere; contact without force only until the force is largest, as skin that lets go
     adheres. The area that needs no measurable force follows from A ~ F^(1/3).
@@ -143,7 +143,7 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
 
 
 def of_growth(normal: Series, gross: Series) -> list[str]:
-    """Return a warning for a contact that stops growing at the end while the force rises, N and mm^2 (frames,)."""
+    """Return a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
     known = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
     last = known[-(len(known) // 10) :]
     if len(last) < _BESIDE:
@@ -160,7 +160,7 @@ def of_growth(normal: Series, gross: Series) -> list[str]:
 
 
 def of_beginning(gross: Series, first_frame: int) -> list[str]:
-    """Return a warning for a press that is recorded from within its contact, by gross areas (frames,) mm^2."""
+    """Return a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
     known = np.flatnonzero(np.isfinite(gross))
     if not len(known):
         return []
@@ -175,7 +175,7 @@ def of_beginning(gross: Series, first_frame: int) -> list[str]:
 
 
 def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> list[str]:
-    """Return a warning where a contact steps from one frame to the next as in many frames around, mm^2 (frames,).
+    """Return a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
 
     A step of the force (N) by as large a share is a real one.
     """
@@ -203,15 +203,14 @@ def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) ->
 
 
 def of_frames(frames: int) -> list[str]:
-    """Return a warning if only one frame is selected."""
+    """Return a warning if a recording has only one selected frame."""
     if frames > 1:
         return []
     return ["one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"]
 
 
 def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
-    """Return warnings for contact areas (frames,) mm^2, NaN if unusable: real area above gross area, or jumps of the
-    latter.
+    """Return warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
 
     `view_area` is the area of the view, mm^2.
     """
@@ -257,7 +256,7 @@ def of_points(found: int, asked: int, min_distance_px: float, region_px: int) ->
 
 
 def of_tracking(share: Series, first_frame: int) -> list[str]:
-    """Return a warning for frames whose share (frames,) of tracked points is low; a share is NaN without points."""
+    """Return a warning if the share (frames,) of tracked points is low in some frames; NaN without points."""
     few = np.flatnonzero(share < _FEW_TRACKED)
     if not len(few):
         return []
@@ -268,7 +267,7 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
 
 
 def of_windows(share: Series, first_frame: int) -> list[str]:
-    """Return a warning for points whose window no longer matches the window in which they were seeded.
+    """Return a warning if image windows around many points no longer resemble the windows in the seeding frame.
 
     `share` (frames,) is their share of the points, NaN without points.
     """

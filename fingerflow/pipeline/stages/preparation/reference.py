@@ -18,7 +18,7 @@ _ONSET = (
 
 
 class Reference(NamedTuple):
-    """Reference from which displacement counts.
+    """Reference frame, or onset of contact, from which displacement is counted.
 
     Attributes:
         frame: counted from 0 at the first selected frame; None for each point's own onset.
@@ -29,7 +29,7 @@ class Reference(NamedTuple):
     definition: str
 
     def attributes(self, first_frame: int) -> dict[str, str | int]:
-        """Return attributes that state the reference, for a variable that depends on it.
+        """Return the attributes of a result variable that state its displacement reference.
 
         `reference_frame` is the frame number in the file; it is left out for onsets.
         """
@@ -38,7 +38,7 @@ class Reference(NamedTuple):
 
 
 def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
-    """Return the frame that the setting `fields.reference` states as a number or a time; None if it is a word.
+    """Return the frame that the setting `fields.reference` gives as a number or time; None for a word such as "onset".
 
     Frames count from 0 at the first selected frame; `times` (frames,) s. Raises FingerflowError for a frame outside the
     selection.
@@ -66,7 +66,7 @@ def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
 def reference_of(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
 ) -> Reference:
-    """Return the displacement reference of a scene, given `times` (frames,) s and `status` (frames,) of its frames.
+    """Return the reference frame of displacement for a scene, given times (s) and status of all frames.
 
     Raises FingerflowError for a frame outside the selection or an unusable one.
     """

@@ -1,4 +1,4 @@
-"""Masks of the regions of interest that a scene defines in its views."""
+"""Masks of the regions of interest that a scene file defines in the views."""
 
 from dataclasses import asdict
 
@@ -12,7 +12,7 @@ from fingerflow.schema.scene import Scene
 
 
 def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
-    """Return the mask (h, w) of the region that a scene defines in a view; None if it defines none.
+    """Return the mask (h, w) of the region of interest of a view; None if the scene defines none.
 
     Raises FingerflowError for a region without a pixel of the view, and for a mask image that cannot be read or has
     another size.

@@ -1,4 +1,4 @@
-"""Ridges of the skin in contact: their period, and the offset between their pictures in the two views."""
+"""Skin ridges in the contact: ridge period, and offset of the ridges between the contact and topography views."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ Picture = NDArray[np.float32]
 
 
 class SkinPatch(NamedTuple):
-    """Patch of skin in contact: `ridges` (h, w), flat and 0 outside the contact, at `scale` patch px per px.
+    """Patch of skin in contact: an image `ridges` (h, w) without uneven light, reduced by the factor `scale`.
 
     `inside` (h, w) bool is the contact, `box` its rows and columns in the view.
     """
@@ -30,7 +30,7 @@ class SkinPatch(NamedTuple):
 
 
 def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
-    """Return the skin that touches in a contact view (h, w), lit by `light`, in a region `inside`; None if it is small.
+    """Return the patch of skin within the mask `inside` (h, w) of a contact view; None if the patch is too small.
 
     Single pixels, hot or dead, are removed by a median.
     """
@@ -47,7 +47,7 @@ def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: ND
 
 
 def period_px(skin: SkinPatch) -> float:
-    """Return the ridge period in px of the view, or NaN if ridges are not distinct.
+    """Return the spatial period of the skin ridges in px of the view, or NaN if no distinct ridges are found.
 
     It is the centre of the strongest band of the power spectrum, summed over rings of equal frequency.
     """
@@ -65,7 +65,7 @@ def period_px(skin: SkinPatch) -> float:
 
 
 def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
-    """Return the distance, px of the contact view, between the ridges in both views; 0 if it is small or unknown.
+    """Return the offset of the skin ridges between the two views, px of the contact view; 0 if small or unknown.
 
     A ridge is dark in the contact view and bright in the topography view, or dark in both: only the size of the
     correlation counts.
@@ -88,12 +88,12 @@ def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_con
 
 
 def _reduced(picture: Picture, scale: float) -> Picture:
-    """Return a picture at another scale, at most 1, by means over pixels."""
+    """Return an image resampled by a factor `scale` of at most 1, by area averaging."""
     return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """Return a picture without waves longer than ridges, 0 outside."""
+    """Return an image minus the local mean, which removes waves longer than ridges; 0 outside the mask."""
     weight = inside.astype(np.float32)
     mean = _mean(picture * weight)
     mean /= np.maximum(_mean(weight), np.float32(1e-3))
@@ -101,5 +101,5 @@ def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
 
 
 def _mean(picture: Picture) -> Picture:
-    """Return local means of a picture."""
+    """Return the local mean of an image around every pixel."""
     return np.asarray(cv2.blur(picture, (_MEAN_PX, _MEAN_PX)), np.float32)

@@ -1,11 +1,11 @@
-"""Medians over points and time derivatives of series of frames."""
+"""Medians over points, and time derivatives of quantities measured in every frame."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return medians (F, ...) over N points of values (F, N, ...), ignoring NaN; NaN where all values are NaN."""
+    """Return the medians (F, ...) over N points of values (F, N, ...), ignoring NaN; NaN where no value is finite."""
     if values.shape[1] == 0:
         return np.full((len(values), *values.shape[2:]), np.nan)
     # Contiguous along the sorted axis: sorting and counting are then twice as fast.
@@ -20,8 +20,7 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:
-    """Return the time derivative (F, ...) per second of values (F, ...): slope of fitted parabolas (Savitzky & Golay
-    1964).
+    """Return the time derivative (F, ...) per second of values (F, ...), smoothed as by Savitzky & Golay (1964).
 
     The parabola is fitted over ``window_s``. Each run of finite values is differentiated by itself; a run shorter than
     the window gives NaN.
@@ -40,7 +39,7 @@ def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: floa
 
 
 def _slopes(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
-    """Return the slope per step at each of n values, by parabolas fitted over 2 half + 1 neighbours.
+    """Return the slope per sample at each of n values, by parabolas fitted over 2 half + 1 neighbouring samples.
 
     The first and last parabola give the slopes at the ends, as in `scipy.signal.savgol_filter(values, 2 * half + 1, 2,
     deriv=1)`, whose import takes half a second.

@@ -1,4 +1,4 @@
-"""Stick region from the dense optical flow of the skin, and comparison of the flow with tracked points."""
+"""Stick region from dense optical flow of the skin, checked against the displacement of tracked points."""
 
 import math
 from typing import Any, ClassVar
@@ -25,7 +25,7 @@ _BESIDE_PX = 12  # margin of skin around the cells known by points, for the flow
 
 
 class DenseFlowSlipStage(SlipStage):
-    """Stage like `SlipStage`, with displacement from dense flow instead of points ([slip] displacement = "dense_flow").
+    """Variant of `SlipStage` that measures displacement by dense optical flow ([slip] displacement = "dense_flow").
 
     In each frame the displacement of the points is compared with the flow at their positions in the first frame: median
     and 95th percentile of the difference. A warning is given where the median exceeds four times what their standard
@@ -99,7 +99,7 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Measure on the first frame how dense flow blurs the border of a stick region; this also prepares the flow."""
+        """Prepare the dense flow; return the function that gives the seen (blurred) displacement near a slip border."""
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
@@ -113,7 +113,7 @@ class DenseFlowSlipStage(SlipStage):
         return self.inputs.view(frames, view)
 
     def _follow(self, frame: int, image: Tensor, grid: SlipGrid, flow: SkinFlow) -> None:
-        """Compute the flow of one frame, store it, and compare it with the tracked points."""
+        """Compute the dense flow of one frame, store it, and compare it with the displacement of the tracked points."""
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
@@ -136,7 +136,7 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Store how far the displacement of points (N, 2) mm differs from the flow (N, 3) px: mm and deviations."""
+        """Store how far point displacements (N, 2) mm differ from the flow (N, 3) px: in mm, and in deviations."""
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():
@@ -160,7 +160,7 @@ class DenseFlowSlipStage(SlipStage):
         return np.asarray(grid.at_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
-        """Return the displacement in one frame at the cells of the contact, (rows, columns, 2) mm, with gaps filled.
+        """Return the dense-flow displacement (rows, columns, 2) mm at the contact cells of one frame, with gaps filled.
 
         Cells that are not known by points (`SlipGrid.known`) are 0; all are NaN where no cell is known.
         """
@@ -185,7 +185,7 @@ class DenseFlowSlipStage(SlipStage):
         return np.asarray((places - origin) @ np.linalg.inv(self._of_px).T, dtype=np.float32)
 
     def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
-        """Return for each pixel (H, W) of the topographic view the fractional column and row of the cell it lies in."""
+        """Return the fractional grid column and row (H, W) of every pixel of the topographic view."""
         y, x = np.indices(shape)
         pixels = np.stack((x, y), -1).astype(np.float64)
         cells = (self.inputs.on_glass(pixels) - grid.places[0, 0]) / (4 * grid.fine_mm)
@@ -193,13 +193,13 @@ class DenseFlowSlipStage(SlipStage):
         return column, row
 
     def _pixels_of(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
-        """Return the mask (H, W) of pixels in cells with a displacement known by points, plus a margin `_BESIDE_PX`."""
+        """Return the mask (H, W) of pixels in grid cells that tracked points cover, with a margin of `_BESIDE_PX`."""
         near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
         return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8)) > 0)
 
     def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
-        """Interpolate values of cells (rows, columns, 2) to pixels (H, W, 2); unknown cells take the nearest value."""
+        """Interpolate cell values (rows, columns, 2) to pixels (H, W, 2); unknown cells take the nearest value."""
         row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
         at = self._columns_and_rows(grid, shape)
         wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -207,7 +207,7 @@ class DenseFlowSlipStage(SlipStage):
 
 
 def _sampled(field: Field, pixels: Field) -> Field:
-    """Interpolate a field (H, W, C) at positions (..., 2) px; NaN outside the field and next to NaN."""
+    """Interpolate a field (H, W, C) at positions (..., 2) px; NaN outside the field and beside NaN values."""
     x, y = (np.ascontiguousarray(pixels[..., k].reshape(-1, 1)) for k in (0, 1))
     values = cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(math.nan,) * 4)
     return np.asarray(values.reshape(*pixels.shape[:-1], -1), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Measurement of how dense flow blurs the border of a stick region, on the reference picture of the flow."""
+"""Measurement of how much dense optical flow blurs the border of a stick region, on the flow's reference frame."""
 
 import cv2
 import numpy as np
@@ -20,8 +20,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures at a slip border, beyond which the true one is x^p at x mm: a
-    `models.partial_slip.stick_border.Seen`.
+    """Displacement that dense flow measures near a slip border when the true displacement is x^p at a distance of x mm.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
@@ -48,7 +47,7 @@ class FlowResponse:
         self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the displacement that the flow measures, mm^p, at signed distances (K,) mm beyond the border.
+        """Return the displacement in mm^p that the flow measures at signed distances (K,) mm beyond the slip border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
@@ -65,7 +64,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of the flow along an axis, on a picture with a known displacement.
+    """Return the mean error (K,) px of dense flow along an axis, on a frame displaced by a known amount.
 
     `distances` (K,) px are beyond the border.
     """

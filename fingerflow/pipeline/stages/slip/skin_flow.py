@@ -1,4 +1,4 @@
-"""Displacement of every pixel of the skin from the first picture to each following one, by dense optical flow."""
+"""Displacement of every skin pixel from the first frame to each later frame, by dense optical flow."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,7 +20,7 @@ _FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displaceme
 
 
 class FlowMotion(NamedTuple):
-    """Displacement of the skin from the first picture to a later one, with its variance.
+    """Displacement of all skin pixels from the first frame to a later frame, with the variance by image noise.
 
     Attributes:
         displacement: (H, W, 2) px of the skin at each pixel of the first picture; NaN where the flow is rejected.
@@ -34,7 +34,7 @@ class FlowMotion(NamedTuple):
 
 
 class SkinFlow:
-    """Dense flow (`ops.dense_flow`) from the first picture to each later one, starting from the last two results.
+    """Dense optical flow (`ops.dense_flow`) from the first frame to each later one, started from the last two results.
 
     The smoothness is set for a slipping rim. With the default of `ops.dense_flow`, for a finger that widens evenly,
     errors on `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the slip region; with this one they are 0.05 to
@@ -70,7 +70,7 @@ class SkinFlow:
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
     def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
-        """Return the motion of the skin between the first picture and the next picture of the series, `image`.
+        """Return the displacement of the skin from the first frame to `image`, the next frame of the recording.
 
         Args:
             image: (1, 1, H, W).
@@ -122,7 +122,7 @@ class SkinFlow:
         return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
-        """Replace the reference picture by `picture`, warped back to the first picture with its known motion."""
+        """Replace the reference frame by a later frame `picture`, warped back to the first frame by the known flow."""
         known = np.isfinite(self._known.variance)
         y, x = np.indices(known.shape, dtype=np.float32)
         went = np.nan_to_num(self._known.displacement)
@@ -138,12 +138,12 @@ def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
 
 
 def _planes(field: Field, like: Tensor) -> Tensor:
-    """Convert an array (H, W, 2) to a tensor (1, 2, H, W)."""
+    """Convert a vector field (H, W, 2) from a NumPy array to a tensor (1, 2, H, W)."""
     return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 
 def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
-    """Return at every pixel the displacement (H, W, 2) of the nearest of points (P, 2) px; NaN without points."""
+    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point; NaN without points."""
     if not len(places):
         return np.full((*shape, 2), np.nan, np.float32)
     empty = np.ones(shape, np.uint8)

@@ -1,4 +1,4 @@
-"""Interpolation of the skin's displacement between tracked points."""
+"""Spatial interpolation of skin displacement between tracked points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ _FEWEST = 3  # points, for a plane
 
 
 class SkinSurface:
-    """Thin plate spline (Duchon 1977) that interpolates displacements of tracked points at fixed other positions.
+    """Thin plate spline (Duchon 1977) that interpolates displacements of tracked points at other, fixed positions.
 
     Points and positions are those of one frame, that is, of the skin. All costly steps are done once, and a frame takes
     a product of matrices. Points that are lost in a frame have no influence: they take the value at which they do not
@@ -48,7 +48,7 @@ class SkinSurface:
         self._weights = (between @ self._bend + lying @ level).astype(np.float32)
 
     def __call__(self, moved: Points) -> NDArray[np.float32]:
-        """Interpolate the displacements (N, 2) of the points, NaN where lost, at the Q fixed positions, as (Q, 2).
+        """Interpolate displacements (N, 2) of points, NaN where lost, at the Q fixed positions; return them as (Q, 2).
 
         It is NaN where fewer than three points are left.
         """
@@ -64,5 +64,5 @@ class SkinSurface:
 
 
 def _kernel(squared: Points) -> Points:
-    """Return the spline's kernel r^2 log r, given squared distances r^2."""
+    """Return the kernel r^2 log r of a thin plate spline, given squared distances r^2."""
     return np.asarray(squared * np.log(np.maximum(squared, 1e-300)) / 2)

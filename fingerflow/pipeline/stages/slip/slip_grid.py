@@ -1,4 +1,4 @@
-"""Grids on the contact for displacement and stick region: cells, and a fine grid of four times their resolution."""
+"""Grids on the contact for displacement and stick region: cells, and a fine grid of four times the resolution."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ _FINE = 4  # fine positions along a cell: an area is then known to a thousandth 
 
 
 class SlipGrid:
-    """Cells that divide the contact region of the first frame, and interpolation of displacements of points to them.
+    """Grid of cells over the contact region of the first frame, to which displacements of points are interpolated.
 
     Sticking skin stays where it was in the first frame. So a cell of a later frame sticks if the skin that lay there at
     first sticks, and positions are the same in all frames.
@@ -55,13 +55,13 @@ class SlipGrid:
         )
 
     def displacement(self, moved: Array) -> Field:
-        """Interpolate displacements (N, 2) mm of points, NaN if lost, to cells (rows, columns, 2); 0 if unknown."""
+        """Interpolate displacements (N, 2) mm of points to cells (rows, columns, 2); 0 in cells far from all points."""
         result = np.zeros((*self.known.shape, 2), np.float32)
         result[self.known] = self._surface(moved)
         return result
 
     def fine(self, values: Field) -> Field:
-        """Interpolate values of cells, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
+        """Interpolate cell values, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
         rows, columns = values.shape[:2]
         size = (columns * _FINE, rows * _FINE)
         result: Field = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)
@@ -72,16 +72,16 @@ class SlipGrid:
         return np.asarray(cells.repeat(_FINE, 0).repeat(_FINE, 1))
 
     def cells(self, fine: Mask) -> Mask:
-        """Convert a mask on the fine grid to a mask of the cells of which it covers half or more."""
+        """Convert a mask on the fine grid to a mask of cells: True where at least half of a cell is covered."""
         rows, columns = self.known.shape
         return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
 
     def share(self, fine: Mask, region: Mask) -> float:
-        """Return the area of a mask on the fine grid, divided by the area of a region of cells."""
+        """Return the area of a mask on the fine grid as a fraction of the area of a region of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
     def covered(self, places: Array, region: Mask) -> Mask:
-        """Return a mask (N,) of the positions (N, 2) mm that lie in a region of cells; False for NaN."""
+        """Return a mask (N,) that is True for positions (N, 2) mm inside a region of cells, and False for NaN."""
         finite = np.isfinite(places).all(-1)
         at = np.rint((np.nan_to_num(places) - self.places[0, 0]) / (self.fine_mm * _FINE)).astype(int)
         inside = finite & (at >= 0).all(-1) & (at < np.array(region.shape[::-1])).all(-1)
@@ -89,5 +89,5 @@ class SlipGrid:
         return np.asarray(inside & region[row, column])
 
     def at_points(self, fine: NDArray[Any]) -> NDArray[Any]:
-        """Return the values (N,) of a fine grid at the positions of the points in the first frame."""
+        """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
         return np.asarray(fine[self._row, self._column])

@@ -1,4 +1,4 @@
-"""Stick region of the contact in each frame, and classification of a trial of tangential loading."""
+"""Stick region of the contact in every frame, and classification of a trial with tangential loading."""
 
 import json
 import math
@@ -43,8 +43,7 @@ _LEAST_LIMIT = 2.0  # standard deviations of a displacement: below, one in twent
 
 
 class SlipStage(Stage):
-    """Stage that finds the stick region: the largest connected part of the gross contact that has not slipped since the
-    first frame.
+    """Stage that finds the stick region: the largest connected part of the gross contact that has not slipped so far.
 
     Displacement counts against the glass, which is at rest in the picture. [slip] criterion selects what sticks; d^2 is
     the area of the stick region over that of the contact:
@@ -123,7 +122,7 @@ class SlipStage(Stage):
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
-        """Add a batch of frames to the fit of the stick border, and compute which share of the contact is tracked."""
+        """Add a batch of frames to the fit of the stick border; store which share of the contact is tracked."""
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
@@ -142,34 +141,34 @@ class SlipStage(Stage):
                 self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return a function that gives the measured (blurred) displacement at distances from a slip border."""
+        """Return the function that gives the measured (seen), hence blurred, displacement near a slip border."""
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
-        """Return the skin's displacement since the first frame, here (n, N, 2) mm of points; NaN where not known."""
+        """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the displacement in one frame of skin at the points' positions in the first frame, (N, 2) mm."""
+        """Return the displacement (N, 2) mm in one frame of the skin that lay at the points in the first frame."""
         return motion
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
-        """Return the displacement in one frame at the cells of the contact, (rows, columns, 2) mm."""
+        """Return the displacement (rows, columns, 2) mm of the skin at the grid cells of the contact in one frame."""
         return grid.displacement(motion)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the positions (K, 2) mm in this frame of skin whose displacement is known."""
+        """Return the positions (K, 2) mm in one frame of all skin whose displacement was measured (seen)."""
         places = grid.points + motion
         return np.asarray(places[np.isfinite(places).all(-1)])
 
     def _deviation_of(self, frame: int) -> float:
-        """Return the median standard deviation, px, of a displacement component in a frame."""
+        """Return the median standard deviation, px, of the displacement components in one frame."""
         if "position_std_px" not in self.results:
             return math.nan
         return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
-        """Return whether a contact region reaches the edge of the view, so that part of the contact is not visible.
+        """Return whether the edge of the view cuts off a contact region, so that part of the contact is invisible.
 
         The contact border is known to half of the ridge distance, so the region of a contact that is cut may end by as
         much before the edge.
@@ -210,13 +209,13 @@ class SlipStage(Stage):
             self.results.put(name, values)
 
     def _limit(self) -> float:
-        """Return the displacement, mm, below which skin counts as stuck; NaN if the limit is not known."""
+        """Return the displacement, mm, below which skin counts as stuck; NaN if this limit is unknown."""
         if self._settings.criterion != "border":
             return self._settings.stuck_mm
         return math.nan if self._border is None else self._border.level
 
     def _find_stuck(self, first: int, end: int, grid: SlipGrid, criterion: "StuckBorder | Length") -> None:
-        """Find the stick region, and direction and speed of the slipping skin, in frames `first` to `end` - 1."""
+        """Find the stick region and the mean velocity of slipping skin in frames `first` to `end` - 1."""
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
@@ -252,7 +251,7 @@ class SlipStage(Stage):
         region: NDArray[np.bool_],
         grid: SlipGrid,
     ) -> None:
-        """Compute the mean direction and speed of the slipping skin in one frame."""
+        """Compute the mean direction and speed of the slipping skin in a frame."""
         slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
             return
@@ -294,7 +293,7 @@ class SlipStage(Stage):
         return verdict
 
     def _warn_of_noise(self) -> None:
-        """Warn if the noise of displacements reaches the slip limit, so that skin at rest would count as slipped."""
+        """Warn if displacement noise reaches the slip limit, so that resting skin would be classified as slipped."""
         limit = self._limit()
         if self._border is not None and self._settings.criterion == "border":
             limit = self._border.followed
@@ -326,7 +325,7 @@ class SlipStage(Stage):
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Return RMS values (mm) over the contact of non-rigid displacement and its irrotational and solenoidal parts."""
+    """Return RMS values (mm) of the non-rigid displacement in the contact: total, irrotational and solenoidal part."""
     places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
@@ -338,7 +337,7 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the friction fit, marked as not identified if its curve loses adhesion at another T/N than the trial."""
+    """Return the friction fit, marked as not identified if it predicts loss of adhesion at a wrong load ratio T/N."""
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))
@@ -352,7 +351,7 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a value for JSON, with None for NaN."""
+    """Convert a value to JSON types, with None in place of NaN."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

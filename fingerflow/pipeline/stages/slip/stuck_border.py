@@ -1,4 +1,4 @@
-"""Border of the stick region, located where the displacement of the skin begins."""
+"""Border of the stick region: the line in the contact at which displacement of the skin begins."""
 
 import math
 
@@ -28,7 +28,7 @@ _WIDEST = 3.0  # half windows, above which the width of the annulus does not mat
 
 
 class StuckBorder:
-    """Stick region of each frame, bounded by a displacement level that is fitted to all frames of a trial.
+    """Stick region of each frame, bounded by a contour of displacement whose level is fitted to all frames of a trial.
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
     of slip is averaged over all frames by their distance from the contour, which leaves a noise of a tenth of a
@@ -62,7 +62,7 @@ class StuckBorder:
         self._of_width = np.zeros(200)  # level for each width
 
     def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
-        """Add the displacements of one frame to the data of the fit.
+        """Add the displacements in one frame to the data to which the border of the stick region is fitted.
 
         Args:
             moved: (N, 2) mm, displacement of the points, NaN where lost.
@@ -96,11 +96,11 @@ class StuckBorder:
 
     @property
     def followed(self) -> float:
-        """Return the displacement level, mm, whose contour bounds the stick region if the slipping annulus is wide."""
+        """Return the displacement level, mm, whose contour bounds the stick region inside a wide slipping annulus."""
         return float(np.fmax(self.level, self._above * self.noise))
 
     def settle(self) -> None:
-        """Fit the position of the border to the displacements of all frames that were added."""
+        """Fit the border of the stick region to the displacements of all frames added by `gather`."""
         if self._deep_count:
             self._base = self._deep_sum / self._deep_count
             self.noise = float(np.sqrt(self._deep_squares / self._deep_count))
@@ -124,7 +124,7 @@ class StuckBorder:
         self.level = level
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Return the stick region of one frame as a fine mask; arguments as for `gather`."""
+        """Return the stick region of one frame as a mask on the fine grid; for the arguments see `gather`."""
         contact = self._grid.fine_mask(region)
         inside = contact & self._grid.fine_mask(self._grid.known)
         length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
@@ -150,8 +150,8 @@ class StuckBorder:
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
-        """Return the displacement level, mm, whose contour is drawn, and the distance, mm, of that contour from the
-        border.
+        """Return the displacement level, mm, of the contour to draw, and the distance, mm, of that contour from the
+        stick border.
 
         This is the level at the border itself, or a higher one where noise requires it, as far as it is reached in a
         slipping annulus of this width.
@@ -166,8 +166,7 @@ class StuckBorder:
 
 
 class Length:
-    """Criterion of sticking: skin sticks if it has moved by less than a length, relative to the glass or the stick
-    region.
+    """Criterion of sticking by a length: skin sticks while displaced by less than a given length.
 
     Args:
         grid: of the contact.
@@ -182,7 +181,7 @@ class Length:
         self._held: Mask | None = None  # (N,) points that stuck so far
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Return the stick region of one frame as a fine mask; arguments as for `StuckBorder.gather`."""
+        """Return the stick region of one frame as a mask on the fine grid; arguments as for `StuckBorder.gather`."""
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
             return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
@@ -200,6 +199,6 @@ class Length:
 
 
 def _distance(mask: Mask) -> Field:
-    """Return the distance of every fine-grid position from the edge of a mask, in spacings of the fine grid."""
+    """Return the distance to the edge of a mask at each position outside the mask, in spacings of the fine grid."""
     found = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(found - 0.5, dtype=np.float32)

@@ -1,1 +1,1 @@
-"""Stages for soft sensors with printed markers."""
+"""Stages for soft tactile sensors: gels with printed markers that a camera observes."""

@@ -1,4 +1,4 @@
-"""Contact region of a soft sensor, from changes of light on the gel and from displacement of its markers."""
+"""Contact region of a soft sensor, from changes of light on the gel and displacements of the markers."""
 
 import math
 
@@ -31,7 +31,7 @@ _LEAST_AREA = 0.25  # square spacings
 
 
 class MarkerContactStage(ContactStage):
-    """Stage that finds the gross contact of a soft sensor: the largest connected region of changed light or of
+    """Stage that finds the gross contact of a soft sensor as the largest connected region of changed light or
     displacement.
 
     Light becomes brighter or darker where the gel's surface is tilted; both count. The threshold is that of Otsu (1979)
@@ -60,7 +60,7 @@ class MarkerContactStage(ContactStage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def begin_as(self, other: "MarkerContactStage") -> None:
-        """Begin with the image at rest and the light threshold of another stage for the same recording."""
+        """Begin with the rest image and the light threshold of another stage that processed this recording."""
         self._follow()
         self._rest, self._least_change = other._rest, other._least_change
 
@@ -71,7 +71,7 @@ class MarkerContactStage(ContactStage):
         self._cells = np.stack(np.meshgrid(x, y), axis=-1)
 
     def step(self, batch: Batch) -> NDArray[np.bool_]:
-        """Find the contact in a batch of frames, store it, and return the masks (n, h, w) of its cells."""
+        """Find the contact region in a batch of frames, store it, and return it as masks (n, h, w) of cells."""
         assert batch.frames is not None
         view = self.inputs.view(batch.frames, self._view)
         change = self._change(view, batch.indices)
@@ -120,8 +120,7 @@ class MarkerContactStage(ContactStage):
         return max(threshold, _LEAST_CHANGE)
 
     def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """Return the change of light (n, 1, h, w) in cells since rest, without pixels that markers cover now or at
-        rest.
+        """Return the change of light (n, 1, h, w) in cells since rest, measured on pixels that markers do not cover.
 
         It is 0 in cells that show nothing but markers.
         """
@@ -134,7 +133,7 @@ class MarkerContactStage(ContactStage):
         return light_change(view, self._rest, hidden, CELL_PX, self._markers.look.scale).nan_to_num(0.0)
 
     def _moved(self, frame: int) -> NDArray[np.bool_]:
-        """Return the mask (h, w) of cells in which the gel has moved by more than the threshold."""
+        """Return the mask (h, w) of cells in which the displacement of the gel exceeds the threshold."""
         points = self._markers.points[frame]
         moved = points - self._markers.rest
         known = np.isfinite(moved).all(-1)

@@ -1,4 +1,4 @@
-"""Displacement of each marker of a soft sensor from its position with the gel at rest."""
+"""Displacement of each marker of a soft sensor, relative to the frame in which the gel is at rest."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ _REST = {"reference_position": "position at rest", "displacement": "displacement
 
 
 class MarkerDisplacementStage(DisplacementStage):
-    """Stage that measures the displacement of all markers since the gel was at rest, in contact or not.
+    """Stage that measures the displacement of all markers, in contact or not, relative to the gel at rest.
 
     The gel is elastic and has a shape of its own. A marker that is not wholly in view at rest has a position but no
     displacement.

@@ -1,4 +1,4 @@
-"""Conversion of the markers of a soft sensor to tracked points."""
+"""Conversion of the tracked markers of a soft sensor to the result variables of tracked points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from fingerflow.schema.variables import TRACKING
 
 
 class MarkerTrackingStage(TrackingStage):
-    """Stage that converts the markers of `MarkerStage` to results of tracked points.
+    """Stage that stores markers found by `MarkerStage` as tracked points.
 
     A marker is detected in each frame independently, so there is no forward-backward error.
     """
@@ -65,7 +65,7 @@ class MarkerTrackingStage(TrackingStage):
 
 
 def _inside(cells: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the points (N, 2) px that lie in a cell (h, w) in contact."""
+    """Return a mask of the points (N, 2) px that lie in cells (h, w) of the contact region."""
     column, row = np.floor((points + 0.5) / CELL_PX).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < cells.shape[1]) & (row < cells.shape[0])
     result: NDArray[np.bool_] = inside & cells[np.where(inside, row, 0), np.where(inside, column, 0)]

@@ -1,4 +1,4 @@
-"""Detection of the frames in which a gel is at rest, from the positions of its markers."""
+"""Detection of the frames in which the gel of a soft sensor is at rest, from the marker positions."""
 
 from typing import NamedTuple
 
@@ -17,14 +17,14 @@ Points = NDArray[np.float64]
 
 
 class Rest(NamedTuple):
-    """Frame in which the gel is at rest, and mask (F,) of all frames with the same marker positions."""
+    """Frame in which a gel is at rest, and mask (F,) of all frames with marker positions equal to those at rest."""
 
     frame: int
     alike: NDArray[np.bool_]
 
 
 def find_rest(frames: list[Points]) -> Rest:
-    """Find the frame in which the gel is at rest, from the marker positions (M, 2) px in every frame.
+    """Find a frame in which the gel is at rest, from the marker positions (M, 2) px in every frame.
 
     States are sets of frames whose markers have the same positions, to a fiftieth of their spacing. Rest is the most
     frequent state, unless another one that lasts for a tenth of the recording is clearly more even: an object that is
@@ -61,14 +61,14 @@ def _spacing(frames: list[Points]) -> float:
 
 
 def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
-    """Return whether two frames show the same gel state: most markers at equal positions, numbers within 5 %."""
+    """Return whether two frames show one state of the gel: most markers at equal positions, counts within 5 %."""
     if tree is None or not len(points) or abs(len(points) - tree.n) > (1 - _MOST_OFF) * max(len(points), tree.n):
         return False
     return bool(np.mean(tree.query(points)[0] < _STILL * spacing) >= _MOST_OFF)
 
 
 def _unevenness(points: Points, spacing: float) -> float:
-    """Return how uneven markers lie: mean distance, px, from the centroid of their four nearest neighbours."""
+    """Return how irregular a marker lattice is: mean distance, px, of markers from the centroid of four neighbours."""
     if len(points) < 5:
         return 0.0
     number = cKDTree(points).query(points, k=5)[1][:, 1:]

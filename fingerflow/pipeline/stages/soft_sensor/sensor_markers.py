@@ -1,4 +1,4 @@
-"""Markers of a soft sensor, detected in every frame and then matched to those of the frame at rest."""
+"""Markers of a soft sensor: detected in every frame, and matched to the markers in the frame at rest."""
 
 import math
 from typing import NamedTuple
@@ -23,7 +23,7 @@ _SAME = 0.4  # spacings within which inferred rest positions belong to one marke
 
 
 class Seen(NamedTuple):
-    """Markers (M, ...) detected in one frame: positions px, covariances px^2, and disagreement of two scales px."""
+    """Markers detected in one frame: positions px, covariances px^2, and position differences between two scales px."""
 
     points: Tensor
     covariance: Tensor
@@ -31,7 +31,7 @@ class Seen(NamedTuple):
 
 
 class MarkerStage(Stage):
-    """Stage that detects markers in each frame independently, and then matches them to those of the frame at rest.
+    """Stage that detects the markers in each frame independently, and matches them to the markers in the frame at rest.
 
     Matching uses only lists of positions. It goes forward and backward in time from the frame at rest, which need not
     be the first one.
@@ -74,7 +74,7 @@ class MarkerStage(Stage):
         self._limit = self.inputs.scene.tracking.forward_backward_limit_px
 
     def begin(self) -> None:
-        """Measure the markers' appearance. Raises FingerflowError where no frame shows any."""
+        """Measure size and polarity of the markers. Raises FingerflowError where no frame shows any."""
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         views = [self.inputs.view(self.inputs.recording[[int(k)]].read(), self._view) for k in looks]
@@ -100,11 +100,11 @@ class MarkerStage(Stage):
         return Seen(*(one[0, known].double().cpu() for one in parts))
 
     def take(self, seen: Seen) -> None:
-        """Append the detected markers of the next frame."""
+        """Store the markers that `see` has detected in the next frame."""
         self._seen.append(seen)
 
     def finish(self) -> None:
-        """Find the frame at rest, and match the markers of all frames to it.
+        """Find the frame in which the gel is at rest, and match the markers in all frames to the markers in that frame.
 
         Raises FingerflowError where fewer than 3 markers are detected in that frame.
         """
@@ -133,7 +133,7 @@ class MarkerStage(Stage):
         self._seen.clear()
 
     def _follow(self, reference: Tensor, ties: Ties) -> Tensor:
-        """Return the index of each of N markers among those detected in each frame, (frames, N); -1 if not found."""
+        """Return for each frame the indices (frames, N) of N markers among the detected ones; -1 if not detected."""
         numbers = torch.full((len(self._seen), len(reference)), -1)
         for frames in (range(self.rest_frame, len(self._seen)), range(self.rest_frame, -1, -1)):
             moved = torch.zeros_like(reference)
@@ -149,7 +149,7 @@ class MarkerStage(Stage):
         return numbers
 
     def _that_come_in(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """Return inferred rest positions (K, 2) px of markers that lie outside the view at rest and enter it later."""
+        """Return inferred rest positions (K, 2) px of markers outside the view that enter the view in later frames."""
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
             mine = number[number >= 0]
@@ -189,7 +189,7 @@ class MarkerStage(Stage):
         self.points, self.covariance, self.status = points.numpy(), covariance.numpy(), status.numpy()
 
     def _cut(self, points: Tensor) -> Tensor:
-        """Return a mask (N,) of marker positions at which the border of the view cuts the marker."""
+        """Return a mask (N,) of markers that the border of the view cuts, given marker positions."""
         height, width = self._view.shape
         size = torch.tensor([width - 1.0, height - 1.0], dtype=points.dtype)
         return torch.minimum(points, size - points).amin(-1) < self.look.radius
@@ -223,7 +223,7 @@ def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
 
 
 def _torn(moved: Tensor, ties: Ties) -> Tensor:
-    """Return a mask (N,) of markers whose displacement differs from most neighbours by more than a gel allows."""
+    """Return a mask (N,) of markers that have moved away from most neighbours by more than a gel can stretch."""
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

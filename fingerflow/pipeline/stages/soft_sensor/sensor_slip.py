@@ -1,4 +1,4 @@
-"""Partial and gross slip of an object on a soft sensor, from the markers in contact."""
+"""Partial and gross slip of an object on a soft sensor, measured by markers in the contact."""
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class SensorSlipStage(Stage):
-    """Stage that measures which share of the markers in contact has slipped, and flags gross slip.
+    """Stage that measures the share of the markers in contact that have slipped, and detects gross slip.
 
     Where the object sticks, the gel under it moves with it as a rigid body. The slip ratio is the share of the markers
     in contact whose displacement since they were touched differs from the best rigid motion by more than
@@ -71,7 +71,7 @@ class SensorSlipStage(Stage):
         )
 
     def _departed(self, reference: torch.Tensor, moved: Array) -> float:
-        """Return the share of markers whose displacement (N, 2) mm differs from the rigid motion of the majority."""
+        """Return the share of markers whose displacement (N, 2) mm departs from the rigid motion of the majority."""
         known = np.isfinite(moved).all(-1)
         if known.sum() < _FEWEST:
             return float("nan")
@@ -83,7 +83,7 @@ class SensorSlipStage(Stage):
 
 
 def _springs_back(before: Array, now: Array, spacing: float) -> bool:
-    """Return whether the gel springs back: markers lose much of their displacement (N, 2) mm within one frame."""
+    """Return whether a sheared gel springs back: most markers lose much of their displacement within one frame."""
     known = np.isfinite(before).all(-1) & np.isfinite(now).all(-1)
     if known.sum() < 2:
         return False

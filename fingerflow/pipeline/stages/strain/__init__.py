@@ -1,1 +1,1 @@
-"""Stages that compute strain and strain energy of the triangles between points."""
+"""Stages that compute strain and strain energy of the skin in triangles between tracked points."""

@@ -1,4 +1,4 @@
-"""Uncertainty of the strain energy that results from the uncertain contact border, in addition to errors of points.
+"""Uncertainty of the strain energy that comes from the uncertain position of the contact border.
 
 Strain since the onset is largest along the border of a growing contact, where skin that has moved lies beside skin that
 has just come into contact. A border that is displaced all around changes the onset of the outermost points and the set
@@ -16,7 +16,7 @@ Values = NDArray[np.floating]
 def border_energy(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """Return the energy per depth (n,), mJ/mm, in a strip along the contact border as wide as the border is uncertain.
+    """Return the energy per depth (n,), mJ/mm, in a strip along the contact border, as wide as the border is uncertain.
 
     The strip has the mean energy density of the triangles within `reach_mm` of the border; 0 where there are none.
 

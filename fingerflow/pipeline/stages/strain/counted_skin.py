@@ -1,4 +1,4 @@
-"""Triangles of the skin for strain, with reference position and reference frame of their corners."""
+"""Triangles of skin for strain, and the reference position and reference frame of every corner."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Points = NDArray[np.float64]
 
 
 class CountedSkin:
-    """Triangles between points, each with one reference frame, even if its points have different ones.
+    """Triangles of tracked points, each with one reference frame for all three corners.
 
     Separate corners belong to triangles with advected skin, or whose shape by positions of onset differs from that of
     the skin. Each corner is then a point of its own, which counts from the frame in which the last of the three has
@@ -59,7 +59,7 @@ class CountedSkin:
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
     def _of_entered(self) -> NDArray[np.int32]:
-        """Return Delaunay triangles (M, 3) with a corner advected into the contact, among points that have touched."""
+        """Return Delaunay triangles (M, 3) of touched points that have a corner advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
@@ -71,7 +71,7 @@ class CountedSkin:
     def _collapsed(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
     ) -> NDArray[np.bool_]:
-        """Return a mask (M,) of triangles (M, 3) whose shape is distorted because their corners have different onsets.
+        """Return a mask (M,) of triangles that are distorted because the corners touched at different times.
 
         Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
         some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
@@ -88,7 +88,7 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of P points and corners in n frames."""
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of all points and separate corners."""
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):
@@ -104,7 +104,7 @@ class CountedSkin:
 
 
 def _triangulate(places: Points) -> NDArray[np.int32]:
-    """Return Delaunay triangles (M, 3) of the points with finite positions; none if these do not span an area."""
+    """Return Delaunay triangles (M, 3) of all points with finite positions; none if the points span no area."""
     finite = np.flatnonzero(np.isfinite(places).all(-1)).astype(np.int32)
     if len(finite) < 3:
         return np.zeros((0, 3), dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Strain of the triangles between points, and strain energy."""
+"""Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
 from typing import Any
 
@@ -28,8 +28,7 @@ _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 
 
 class StrainStage(Stage):
-    """Stage that computes strain and energy on Delaunay triangles of reference positions; `CountedSkin` adds advected
-    skin.
+    """Stage that computes strain and strain energy on Delaunay triangles between the reference positions of the points.
 
     The energy is that of the skin in contact: of triangles that have touched as a whole and have two or more corners in
     the contact now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted.
@@ -117,7 +116,7 @@ class StrainStage(Stage):
         self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu().numpy(), missing), of_border)
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Sum values at points (n, N, ...) over the three corners of each triangle, as (n, M, ...).
+        """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
 
         Corners are added one by one, as sums over an axis of three take longer.
         """
@@ -143,7 +142,7 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return the correlations of tracking errors between corners of the triangles, as `SharedErrors`.
+    """Return the correlations between tracking errors at different corners of the triangles, as `SharedErrors`.
 
     Tracking errors come from pixel noise in a window and correlate by the share that two windows have in common: on a
     press correlations are 0.2, 0.4 and 0.6 to 0.75 where the share is a fifth, two fifths and two thirds. Half of a

@@ -1,4 +1,4 @@
-"""Detection of skin in contact that has no points, because it lay outside the region in which points were seeded.
+"""Detection of skin in contact that has no tracked points, since the skin lay outside the seeding region.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 
 class Known(NamedTuple):
-    """Positions of all tracked points in the current frame and at their seeding.
+    """Positions of all tracked points in the current frame and in the frame in which each was seeded.
 
     Attributes:
         place: (N, 2) px of the topographic view, measured or expected position.
@@ -37,7 +37,7 @@ class Known(NamedTuple):
 
 
 class NewSkin:
-    """Detector of skin without points that is in contact or about to be.
+    """Detector of skin without tracked points that is in contact or about to come into contact.
 
     Args:
         topography_to_contact: (2, 3) affine map, px to px.
@@ -62,7 +62,7 @@ class NewSkin:
             self._before = self._on_contact(place), self._middle(touching)
 
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
-        """Return the mask (h, w) of the topographic view in which new points should be seeded; None if none are needed.
+        """Return the mask (h, w) of the topographic view in which new points must be seeded; None if nowhere.
 
         Points are needed where new skin is in contact, or will be before the next call but one if points and contact
         keep their speeds. It must lie farther than half a window from any point, over an area of at least a window.
@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of contact cells, present or soon expected, with no point (N, 2) within `far` px.
+        """Return the flattened mask of cells, in contact now or soon, that have no point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -149,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return a mask (K,) of positions (K, 2) px of the contact view whose skin was not in the seeding region."""
+        """Return a mask (K,) of positions (K, 2) px whose skin was outside the region in which points were seeded."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -168,7 +168,7 @@ class NewSkin:
         return np.asarray(warped > 0)
 
     def _beside(self, place: Points) -> Mask:
-        """Return the mask (h, w) of px nearer to a point than half the median spacing of points."""
+        """Return the mask (h, w) of pixels closer to a tracked point than half the median point spacing."""
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
@@ -180,6 +180,6 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Convert numbers of sampled cells, every `_STEP`-th one, to the px coordinate of their centres along an axis."""
+    """Convert indices of sampled cells (every `_STEP`-th one) to px coordinates of the cell centres along an axis."""
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

@@ -1,4 +1,4 @@
-"""Tracking of skin points through all frames of the topographic view."""
+"""Tracking of skin points through all frames, in the topographic view."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -79,7 +79,7 @@ class TrackingStage(Stage):
         return self._settings.direction == "backward"
 
     def begin(self) -> None:
-        """Find the contact region in which to seed points; warn where there is no contact, hence no points."""
+        """Find the contact region in which points are to be seeded, and warn if no contact is found."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
@@ -98,7 +98,7 @@ class TrackingStage(Stage):
             self.warnings.extend(plausibility.of_views(offset, self.inputs.mm_per_px))
 
     def step(self, batch: Batch) -> Any:
-        """Track all points through a batch of frames, in the given order; unusable frames are skipped."""
+        """Track all points through the frames of a batch, in order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
@@ -113,7 +113,7 @@ class TrackingStage(Stage):
                 self._pass_over(indices)
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Skip unusable frames; each point's expected position moves on with its last speed."""
+        """Skip unusable frames, for which the expected position of each point is extrapolated at the last speed."""
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -168,7 +168,7 @@ class TrackingStage(Stage):
                 self.results.create(variable.name, point=points)
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
-        """Seed the points in the first frame."""
+        """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
         where = self._where()
         points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
         if len(points) < 3:
@@ -187,8 +187,8 @@ class TrackingStage(Stage):
         return self._add(image, points, np.zeros(0, np.intp))
 
     def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
-        """Register newly seeded points, guided by the earlier points `numbers`; return their results (1, N) in this
-        image.
+        """Register newly seeded points, guided by earlier points with indices `numbers`; return the tracking results
+        (1, N).
 
         `more` are the positions of the earlier points, and the motion of the new ones.
         """
@@ -227,7 +227,7 @@ class TrackingStage(Stage):
         return self._add(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Extend the results for more points and return whether it was possible; warn where a limit is reached."""
+        """Extend the result arrays for more points; return whether that was possible, and warn at a limit."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
@@ -245,7 +245,7 @@ class TrackingStage(Stage):
         return more > 0
 
     def _enhanced(self, image: Images) -> Images:
-        """Return the image with enhanced contrast in which Willemet et al. (2021, figure S3 B) seed points.
+        """Return an image with enhanced contrast for the seeding of points (Willemet et al., 2021, figure S3 B).
 
         It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
         others 0.0282, and as many lie on dust.
@@ -283,7 +283,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Extend results (1, N) of points seeded in the last frame of a batch to all frames of it, with NaN before."""
+    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN before seeding."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
