@@ -63,7 +63,7 @@ class Chains:
 
     @property
     def contact(self) -> Tensor:
-        """Return the contact stiffness of the plate for each chain (...), N/m."""
+        """Return the contact stiffness of the plate under each chain of skin elements, N/m."""
         return self.numbers[..., NUMBERS.index("contact")]
 
     def undeformed(self) -> Motion:

@@ -175,7 +175,7 @@ _PLAYED = {  # fixed in a stream, because later frames are unknown or graphs are
 
 
 def contradictions(scene: StreamScene, recipe: Mapping[str, Any]) -> list[str]:
-    """Return one sentence for each setting that differs between the scene file and the recipe."""
+    """Return one sentence for each setting of a scene file that differs from the export recipe of the bundle."""
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
     return [
         f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"

@@ -46,7 +46,7 @@ class BesideChain:
     parameters: str
 
     def notes(self) -> list[str]:
-        """Return sentences about assumptions and fitted parameters of the comparison."""
+        """Return sentences on what comparing a press with the skin chain assumes, and on the fitted parameters."""
         assert self.fit.tissue_interval is not None
         low, high = self.fit.tissue_interval
         given = PARAMETERS[self.parameters]

@@ -102,6 +102,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if a sentence is about missing panels that have all been replaced by curves."""
+    """Return True if all panels that a sentence calls missing are drawn as curves of the study instead."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -447,7 +447,7 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Reject tracked points whose window differs from that in the key frame, and return all points.
+        """Return all points, with those marked as rejected whose window differs from the window in the key frame.
 
         Covariances count from the key frame. Points that fail are NaN, with the status WINDOW_DIFFERS.
         """

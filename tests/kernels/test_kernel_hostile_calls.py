@@ -9,6 +9,7 @@ from fingerflow.kernels import tensors as kernels
 from tests.kernels import hostile_calls
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
     pytest.mark.skipif(sys.platform != "linux", reason="forks and pages that cannot be read are Linux's"),
     pytest.mark.filterwarnings("ignore"),  # of forks beside threads, of casts that overflow

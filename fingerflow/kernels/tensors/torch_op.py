@@ -89,7 +89,7 @@ def _parts(kind: Any) -> tuple[Any, ...]:
 
 
 def _named(kind: Any) -> Any:
-    """Return the class of a named tuple type, or None for any other type."""
+    """Return an annotation if it is a class of named tuples, else None."""
     named = get_origin(kind) or kind
     return named if hasattr(named, "_fields") else None
 

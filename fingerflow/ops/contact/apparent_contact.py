@@ -42,8 +42,7 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent contact: the region where the smoothed mask exceeds about half of the mean inside the
-    region.
+    """Segment the apparent contact, the region in which ridges touch about half as densely as in its middle, or more.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex

@@ -161,7 +161,10 @@ def _check(
 
 
 def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
-    """Return the covariance (B, Q, C, 2, C, 2) of gradients fitted by weighted least squares, from noise sums."""
+    """Return the covariance (B, Q, C, 2, C, 2) of gradients fitted by weighted least squares.
+
+    It is A^-1 (sum w^2 s d d') A^-1, with d the distance from the centroid and s the variance of a value.
+    """
     plain, along_x, along_y, xx, xy, yy = (noise_sums / mass.square()[..., None, None]).unbind(-2)  # (B, Q, V) each
     x, y = centre[..., :1], centre[..., 1:]
     xx = xx - 2 * x * along_x + x * x * plain

@@ -84,7 +84,7 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Return the true median divergence over the contact, since each point's onset of contact.
+    """Return the true median over the contact of the divergence; the displacement of a point counts from its onset.
 
     Points are seeded at progress 0. Skin u is touched at the progress p0(u) at which the growing contact reaches it:
     its displacement is x(u, p) - x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted
