@@ -124,6 +124,7 @@ def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
     return trial, "vanishes abruptly" if trial.critical_stuck_area > 0.05 else "diminishes"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("linear", [True, False])
 def test_a_hundred_random_trials(linear: bool) -> None:
     """At least 95 right of straight lines and of the model's curves; d^2 and duration within their deviations."""

@@ -26,6 +26,8 @@ from fingerflow.models.observer import (
 )
 from tests.models.observer.error_rates import ALPHA, answered, counted, measured, related, share
 
+pytestmark = pytest.mark.long
+
 STUDIES = 400
 
 
