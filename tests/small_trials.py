@@ -32,15 +32,10 @@ TINY_PRESS = Press(
     n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
 )
 
-#: A trial of slip in views of 192 x 240 px.
-SMALL_SLIP: dict[str, Any] = {
-    "frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
-}  # fmt: skip
-#: 16 frames of 192 x 480 px, for `write_small`.
-SMALL_PRESS = Press(
-    n_frames=16, frame_rate=16.0, frames_before_trigger=1, frame_shape=(192, 480), finger=(3.2, 2.7),
-    semi_axes=(2.3, 1.9),
-)  # fmt: skip
+_SMALL: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9)}
+#: A trial of slip and a press of 16 frames in views of 192 x 240 px, for `write_small`.
+SMALL_SLIP: dict[str, Any] = {**_SMALL, "creep": 0.45, "travel": 0.8}
+SMALL_PRESS = Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **_SMALL)
 
 GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
@@ -90,9 +85,7 @@ def write_small_slip(folder: Path, **settings: Any) -> Path:
 
     Returns its folder.
     """
-    write_recording(folder, PartialSlip(**(SMALL_SLIP | settings)))
-    windows = {"window_px = 25": "window_px = 15", "min_distance_px = 6.0": "min_distance_px = 4.0"}
-    return edit_scene(folder, windows, stream=False).parent
+    return write_small(folder, PartialSlip(**(SMALL_SLIP | settings))).parent
 
 
 def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:

@@ -61,8 +61,7 @@ def outputs_page() -> str:
 
 
 def _facts(entry: DictionaryEntry) -> str:
-    shown = f", shown in {entry.shown_unit}" if entry.shown_unit not in ("", entry.units) else ""
-    facts = [f"Unit `{entry.units}`{shown}", f"dimensions `({', '.join(entry.dimensions)})`"]
+    facts = [f"Unit `{entry.units}`{entry.unit_note}", f"dimensions `({', '.join(entry.dimensions)})`"]
     if entry.needs:
         facts.append("needs " + ", ".join(f"`{key}`" for key in entry.needs))
     if not entry.unasked:

@@ -7,7 +7,8 @@ import threading
 
 import typer
 
-from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401  commands add themselves  # noqa: F401
+# Their commands add themselves.
+from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401
 from fingerflow.cli.app import INTERRUPTED
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError

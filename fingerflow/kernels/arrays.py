@@ -46,7 +46,7 @@ def empty(like: Array, kind: str, *shape: int) -> Array:
         made: Any = np.empty(shape, kind)
     else:
         made = given.new_empty(shape, dtype=getattr(sys.modules["torch"], kind))
-    return made  # type: ignore[no-any-return]
+    return cast(Array, made)
 
 
 def zeros(like: Array, kind: str, *shape: int) -> Array:
@@ -63,7 +63,7 @@ def in_one_piece(array: Array) -> Array:
     """
     given: Any = array
     if not isinstance(given, np.ndarray):
-        return given.resolve_neg().contiguous()  # type: ignore[no-any-return]
+        return cast(Array, given.resolve_neg().contiguous())
     whole = given.flags.c_contiguous and given.flags.aligned
     return array if whole else cast(Array, given.copy())
 
@@ -74,7 +74,7 @@ def copied(array: Array) -> Array:
     if isinstance(given, np.ndarray):
         return cast(Array, given.copy())
     own = given.resolve_neg()
-    return own.clone(memory_format=sys.modules["torch"].contiguous_format)  # type: ignore[no-any-return]
+    return cast(Array, own.clone(memory_format=sys.modules["torch"].contiguous_format))
 
 
 def with_axes_reversed(array: Array, kind: str) -> Array:
@@ -84,7 +84,7 @@ def with_axes_reversed(array: Array, kind: str) -> Array:
         return cast(Array, given.T.astype(kind, order="C"))
     axes = range(given.ndim - 1, -1, -1)
     turned = given.resolve_neg().permute(*axes)
-    return turned.to(getattr(sys.modules["torch"], kind)).contiguous()  # type: ignore[no-any-return]
+    return cast(Array, turned.to(getattr(sys.modules["torch"], kind)).contiguous())
 
 
 def may_be_written(array: Shaped) -> bool:
@@ -101,7 +101,7 @@ def rows_in_one_piece(frames: Array) -> Array:
     if not isinstance(given, np.ndarray):
         given = given.resolve_neg()
         one_piece = given.stride(3) == 1 or given.shape[3] == 1
-        return given if one_piece else given.contiguous()  # type: ignore[no-any-return]
+        return cast(Array, given if one_piece else given.contiguous())
     if given.flags.c_contiguous and given.flags.aligned:
         return frames
     size = given.itemsize

@@ -28,12 +28,16 @@ class DictionaryEntry(NamedTuple):
     needs: tuple[str, ...]
     flags: tuple[str, ...]
 
+    @property
+    def unit_note(self) -> str:
+        """Return ", shown in" and the unit that people see, "" if that is the unit of the data set or none."""
+        return "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
+
     def __str__(self) -> str:
         """Return a description of the variable in three or four lines of plain text."""
         asked = "" if self.unasked else ", only where it is named"
-        shown = "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
         lines = [
-            f"{self.name}  [{self.units}{shown}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
+            f"{self.name}  [{self.units}{self.unit_note}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
             f"    {self.definition}",
             f"    {self.equation}",
         ]

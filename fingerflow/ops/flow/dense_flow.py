@@ -232,7 +232,7 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the minimum (B, ...) over `count` channels, which are stacked in the batch axis (C B, ...)."""
+    """Return the least value (B, ...) over the `count` channels of each image, stacked along the batch axis."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
