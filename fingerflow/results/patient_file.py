@@ -87,7 +87,7 @@ class PatientFile:
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Close the file, which discards data that `flush` could not write."""
+        """Close the file. Data that `flush` could not write are lost."""
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:

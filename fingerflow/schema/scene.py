@@ -204,7 +204,7 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True if the scene is of a gel with markers, else None, which `Scene.has` takes as missing."""
+        """Return True for a gel with markers and None for any other scene: None means "not present" to `Scene.has`."""
         return True if self.kind == "soft_sensor" else None
 
     @property

@@ -115,7 +115,7 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Average curves against force by condition; return one row per metric, condition and force.
+    """Return one row per metric, condition and force: the mean over the participants.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force
