@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import xarray as xr
 
 
@@ -14,3 +15,16 @@ def is_sensor(result: xr.Dataset) -> bool:
 def followed(result: xr.Dataset) -> str:
     """Return the word for the tracked objects of a result: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"
+
+
+def said(frame: xr.Dataset) -> str:
+    """Return a text for the reader with number, time and normal force of a frame."""
+    words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
+    if "normal_force" in frame and np.isfinite(frame["normal_force"]):
+        words.append(f"{float(frame['normal_force']):.2f} N")
+    return ", ".join(words)
+
+
+def sentence(words: str) -> str:
+    """Return words with a capital first letter and all others as they are."""
+    return words[:1].upper() + words[1:]
