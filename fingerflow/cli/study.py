@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import INTERRUPTED, app
+from fingerflow.cli.app import INTERRUPTED, Format, Width, app, figure_files
 from fingerflow.errors import FingerflowError
 
 study = typer.Typer(
@@ -81,12 +81,19 @@ def run(
 
 
 @study.command()
-def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
+def report(
+    manifest: Manifest,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    formats: Format = None,
+    width: Width = None,
+) -> None:
     """Write the page of a study: trials, figures and statistics, from what `run` has left."""
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
 
-    typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers)}")
+    files = figure_files(formats, width)
+    typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers, figure_files=files)}")
 
 
 @study.command()

@@ -23,7 +23,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 _DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 3)), (0, (8, 3)))
 _COLOURS = (INK, RED, YELLOW, GREEN, GREY)
 _LIGHTEST = 0.85  # of viridis: lighter colours vanish on white paper
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": [FONT], "font.size": 7.5, "figure.titlesize": 7.5, "axes.titlesize": 7.5, "axes.labelsize": 7.5,
     "xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0, "legend.title_fontsize": 7.0,
     "legend.handlelength": 2.4, "legend.labelspacing": 0.3, "legend.borderaxespad": 0.3, "legend.columnspacing": 1.0,

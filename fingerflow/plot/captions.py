@@ -1,10 +1,9 @@
-"""Captions of figures, and the letters of their panels."""
+"""Captions of figures."""
 
-import string
 from weakref import WeakKeyDictionary
 
 from matplotlib.artist import Artist
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure, SubFigure
 
 _CAPTIONS: WeakKeyDictionary[Artist, str] = WeakKeyDictionary()
 
@@ -14,19 +13,8 @@ def describe(artist: Artist, caption: str) -> None:
     _CAPTIONS[artist] = caption
 
 
-def caption_of(figure: FigureBase) -> str:
+def caption_of(figure: Figure | SubFigure) -> str:
     """Return the caption of a figure, else those of its axes one after the other; empty if it has none."""
     if figure in _CAPTIONS:
         return _CAPTIONS[figure]
-    return " ".join(_CAPTIONS[axes] for axes in figure.get_axes() if axes in _CAPTIONS)
-
-
-def panel_letter(number: int) -> str:
-    """Return the letter of a panel, counted from 0: A to Z, then AA, AB and so on.
-
-    >>> [panel_letter(number) for number in (0, 25, 26, 27)]
-    ['A', 'Z', 'AA', 'AB']
-    """
-    letters = string.ascii_uppercase
-    before = panel_letter(number // len(letters) - 1) if number >= len(letters) else ""
-    return before + letters[number % len(letters)]
+    return " ".join(_CAPTIONS[axes] for axes in figure.axes if axes in _CAPTIONS)

@@ -4,6 +4,7 @@ import re
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -21,7 +22,7 @@ _MM = {"mm": 1.0, "cm": 10.0, "in": MM_PER_INCH}
 _LEAST_MM, _MOST_MM = 60.0, 400.0
 _LINES = 100  # characters of a line of a caption file
 # Text of PDF and SVG files stays text: editable, searchable, and drawn by fonts instead of outlines.
-_TYPE = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
+_TYPE: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 _METADATA = {
     "png": {"Comment": MARK},
     "pdf": {"Keywords": MARK, "CreationDate": None},
@@ -85,6 +86,9 @@ class FigureFiles:
         return pictures[0]
 
 
+PNG = FigureFiles()  #: each figure as PNG, in its own width
+
+
 def settle(figure: Figure) -> None:
     """Break titles and labels that are longer than their axes into lines, and lay the figure out once and for all."""
     layout = figure.get_layout_engine()
@@ -101,9 +105,7 @@ def settle(figure: Figure) -> None:
 
 def _write(figure: Figure, path: Path, suffix: str, name: str) -> None:
     with mpl.rc_context({**_TYPE, "svg.hashsalt": name}):
-        write_atomically(
-            path, lambda part: figure.savefig(part, format=suffix, dpi=_DPI, metadata=_METADATA[suffix])
-        )
+        write_atomically(path, lambda part: figure.savefig(part, format=suffix, dpi=_DPI, metadata=_METADATA[suffix]))
 
 
 def _break_long_texts(figure: Figure) -> bool:

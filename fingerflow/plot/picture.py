@@ -1,5 +1,7 @@
 """Image of a frame with results drawn over it: real contact, ellipse, points, scale bar."""
 
+from typing import Any
+
 import numpy as np
 import torch
 import xarray as xr
@@ -72,7 +74,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
         axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
     axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
     one, matrix = result.isel(frame=frame), matrix_of_view(result, name)
-    outlines = (
+    outlines: tuple[tuple[Values | None, dict[str, Any]], ...] = (
         (contact_outline(one), {"color": YELLOW, "label": "gross contact"}),
         (stuck_outline(one), {"color": STUCK, "linestyle": "--", "label": "stuck part"}),
     )

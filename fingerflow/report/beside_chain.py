@@ -14,8 +14,9 @@ from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_fit import SkinFit, fit_skin
 from fingerflow.models.skin_onset import since_onset
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
-from fingerflow.plot.axes_style import INK, TWO_COLUMNS_MM, figure_style, finished, line_styles, new_figure
-from fingerflow.plot.captions import describe, panel_letter
+from fingerflow.plot.axes_style import INK, TWO_COLUMNS_MM, figure_style, finished, line_styles
+from fingerflow.plot.captions import describe
+from fingerflow.plot.panels import row_of_panels
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -25,7 +26,6 @@ NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_div
 _LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the spacing of ridges
 _FITTED = 10  # number of forces to which the stiffness is fitted
 _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larger for the same area, with 251 5 %
-_BESIDE_MM = 150.0  # width from which three panels have room beside each other
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
 
 
 def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw area, median divergence and inner mean divergence against force, measured and simulated.
-
-    The panels stand beside each other from 150 mm on, else below each other.
-    """
+    """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
         (_MEDIAN.axis_label, beside.median, beside.chain_median),
@@ -142,11 +139,8 @@ def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
     )
     styles = line_styles(len(beside.friction) + 1)[1:]
     with figure_style(width_mm):
-        wide = width_mm >= _BESIDE_MM
-        figure = new_figure(0.36 if wide else 2.2)
-        parts = figure.subfigures(1, 3) if wide else figure.subfigures(3, 1)
-        for number, (part, (name, measured, chains)) in enumerate(zip(parts, panels, strict=True)):
-            part.suptitle(panel_letter(number), x=0.01, ha="left", fontweight="bold")
+        figure, parts = row_of_panels(3, width_mm)
+        for part, (name, measured, chains) in zip(parts, panels, strict=True):
             axes = part.subplots()
             for friction, chain, style in zip(beside.friction, chains, styles, strict=True):
                 axes.plot(beside.force, chain, label=f"chain, friction {friction:g}", **style)

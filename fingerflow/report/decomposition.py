@@ -9,6 +9,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.plot.axes_style import INK, RED, finished
+from fingerflow.plot.captions import describe
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -95,9 +96,15 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
             color=RED if name == "rest" else INK, width=0.006,
         )  # fmt: skip
         one.set(aspect="equal", title=f"{name}\n{said}" if said else f"{name}\narrows {scale:g} x")
-        one.title.set_fontsize("medium")
         one.margins(0.15)
         finished(one)
+    known = int((np.isfinite(found.parts["field"]).all(1) & np.isfinite(found.points).all(1)).sum())
+    describe(
+        axes[0],
+        "Displacement of the skin (field) and its parts by a least-squares fit that is linear in the position: constant, "
+        f"divergence, curl, two shears and the rest, which add up to it. All arrows are drawn {scale:g} times as long as "
+        f"they are. n = {known} points.",
+    )
     axes[0].invert_yaxis()  # shared by all
     for one in (axes[0], axes[4]):
         one.set_ylabel("mm")

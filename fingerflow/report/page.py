@@ -129,7 +129,7 @@ def write_report(
     chain: BesideChain | None = None,
     video: bool = True,
     overwrite: bool = False,
-    files: FigureFiles | None = None,
+    figure_files: FigureFiles | None = None,
 ) -> Path:
     """Write the report of a result, report.html and overlay.mp4, into a folder and return the path of the page.
 
@@ -143,7 +143,7 @@ def write_report(
         chain: predictions of the skin chain, drawn beside the measurement.
         video: write overlay.mp4 too, which takes longer than all the rest.
         overwrite: replace files that no report has written.
-        files: write each figure of the page also as a file, into the folder `figures`, in these formats.
+        figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
 
     Raises:
         FingerflowError: before anything is computed, if an output is an input of the scene, or without ``overwrite``
@@ -155,8 +155,8 @@ def write_report(
     if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
-    make = _Figures(result, folder / "figures", files, overwrite)
-    with figure_style((files and files.width_mm) or ONE_COLUMN_MM):
+    make = _Figures(result, folder / "figures", figure_files, overwrite)
+    with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames, chain)
     sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])

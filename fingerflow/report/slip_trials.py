@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style, new_figure
-from fingerflow.plot.captions import caption_of, describe, panel_letter
-from fingerflow.plot.figure_files import FigureFiles
+from fingerflow.plot.captions import describe
+from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.outlines import contact_outline, stuck_outline
+from fingerflow.plot.panels import captions_of, row_of_panels
 from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
-
-_BESIDE_MM = 150.0  # width from which three panels have room beside each other
 
 
 @dataclass(frozen=True)
@@ -82,9 +81,7 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
     return f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}: " + "; ".join(lines)
 
 
-def write_figures(
-    trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False, files: FigureFiles = FigureFiles()
-) -> Path:
+def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False, files: FigureFiles = PNG) -> Path:
     """Write one figure per trial (`trial_figure`), and `trials` with all trials; return the folder.
 
     Raises:
@@ -114,16 +111,11 @@ def write_figures(
 
 
 def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw a trial: skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time.
-
-    The panels stand beside each other from 150 mm on, else below each other.
-    """
+    """Draw a trial: skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
-    beside = width_mm >= _BESIDE_MM
     with figure_style(width_mm):
-        figure = new_figure(0.36 if beside else 2.2)
-        parts = figure.subfigures(1, 3) if beside else figure.subfigures(3, 1)
+        figure, parts = row_of_panels(3, width_mm)
         left, middle, right = (part.subplots() for part in parts)
         # The last frame of slow loading: later the stick region has almost vanished.
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
@@ -131,9 +123,7 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
         draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
         draw_trial(middle, area, load, verdict, trial.fit)
         draw_over_time(right, result["time"], area, verdict)
-        for number, part in enumerate(parts):
-            part.suptitle(panel_letter(number), x=0.01, ha="left", fontweight="bold")
-    captions = [f"{panel_letter(number)}. {caption_of(part)}" for number, part in enumerate(parts)]
+    captions = captions_of(parts)
     captions[0] += f" At {float(result['time'][frame]):.2f} s, the end of slow loading."
     describe(figure, "\n".join((f"Trial {verdict_line(replace(trial, name=trial.words))}.", *captions)))
     return figure

@@ -129,7 +129,6 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkey
 
     from fingerflow.report import video_writer as video
     from fingerflow.report import write_report
-    from fingerflow.report.picture_files import save_figure
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.results.atomic_write import is_marked
 

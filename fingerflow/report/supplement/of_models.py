@@ -23,13 +23,15 @@ def half_sphere(_: Sources) -> Sheet:
             SheetPanel.of_axes("B", draw_lengths),
             SheetPanel.of_axes("C", draw_radial_strain),
         ),
+        title="half-sphere of skin pressed flat",
     )
 
 
 def decomposition(sources: Sources) -> Sheet:
     """Return figure S6: decomposition of the displacement field of the simulated press."""
     found = decompose(sources.field.reference, sources.field.displacement)
-    return Sheet("S6", (SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
+    panel = SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8)
+    return Sheet("S6", (panel,), title="decomposition of the displacement field of a simulated press")
 
 
 def strains_at_depth(sources: Sources) -> Sheet:
@@ -45,4 +47,5 @@ def strains_at_depth(sources: Sources) -> Sheet:
             SheetPanel("E", lambda part: draw_strain_in_time(part, presses, depth)),
             SheetPanel.of_axes("F", draw_compression, presses, depth),
         ),
+        title="stress and strain under the skin of the simulated presses",
     )
