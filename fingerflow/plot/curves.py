@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
 from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, YELLOW, finished, given_or_new, line_styles
-from fingerflow.plot.wording import followed, sentence
+from fingerflow.plot.wording import definition_of, followed
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -226,7 +226,7 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     """Return the caption of curves: definition of each variable, meaning of bands, number of frames."""
     shown = dict.fromkeys(curve.variable for curve in curves)
     said = [f"{title} against {against.partition(' (')[0]}."]
-    said += [f"{sentence(VARIABLES[name].words)}: {VARIABLES[name].long_name}." for name in shown]
+    said += [definition_of(VARIABLES[name]) for name in shown]
     banded = [curve for curve in curves if curve.std is not None]
     if banded:
         own = dict.fromkeys(f"{curve.variable}_std" for curve in banded)

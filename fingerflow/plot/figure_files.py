@@ -20,6 +20,8 @@ _DPI = 300  # of PNG files, and of pictures and maps in the others
 _LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|in)")
 _MM = {"mm": 1.0, "cm": 10.0, "in": MM_PER_INCH}
 _LEAST_MM, _MOST_MM = 60.0, 400.0
+_CLAUSE_END = re.compile(r"(?<=,) (?![^(]*\))")  # lines are broken there first
+_MOST_RUNS = 5  # of the layout
 _LINES = 100  # characters of a line of a caption file
 # Text of PDF and SVG files stays text: editable, searchable, and drawn by fonts instead of outlines.
 _TYPE: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
@@ -95,11 +97,12 @@ def settle(figure: Figure) -> None:
     if layout is None:
         return
     with mpl.rc_context({"font.family": [FONT]}):
-        layout.execute(figure)
-        if _break_long_texts(figure):
+        # Maps need a second run, as their axes have another shape after the first. Axes are smaller beside labels of
+        # several lines, which may then need more of them.
+        for run in range(_MOST_RUNS):
             layout.execute(figure)
-            _break_long_texts(figure)  # axes are smaller beside labels of several lines
-            layout.execute(figure)
+            if not _break_long_texts(figure) and run:
+                break
     figure.set_layout_engine("none")
 
 
@@ -113,13 +116,13 @@ def _break_long_texts(figure: Figure) -> bool:
     broken = False
     for axes in figure.axes:
         box = axes.get_window_extent()
-        along = ((axes.title, box.width), (axes.xaxis.label, box.width), (axes.yaxis.label, box.height))
-        for text, room in along:
-            broken |= _broken(text, 1.15 * room, upright=text is axes.yaxis.label)
+        for text, room in ((axes.title, box.width), (axes.xaxis.label, box.width)):
+            broken |= _broken(text, room)
+        broken |= _broken(axes.yaxis.label, box.height, upright=True)
     return broken
 
 
-def _broken(text: Text, room: float, upright: bool) -> bool:
+def _broken(text: Text, room: float, upright: bool = False) -> bool:
     said = text.get_text()
     if not said:
         return False
@@ -129,6 +132,11 @@ def _broken(text: Text, room: float, upright: bool) -> bool:
     if length <= room or longest < 2:
         return False
     width = max(int(longest * room / length), 8)
-    lines = textwrap.wrap(said.replace("\n", " "), width, break_long_words=False, break_on_hyphens=False)
-    text.set_text("\n".join(lines))
+    lines = [""]
+    for clause in _CLAUSE_END.split(said.replace("\n", " ")):
+        if lines[-1] and len(lines[-1]) + 1 + len(clause) <= width:
+            lines[-1] += f" {clause}"
+        else:
+            lines += textwrap.wrap(clause, width, break_long_words=False, break_on_hyphens=False)
+    text.set_text("\n".join(lines[1:]))
     return True

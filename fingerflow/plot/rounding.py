@@ -2,6 +2,8 @@
 
 import math
 
+_NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmetic
+
 
 def with_uncertainty(value: float, spread: float = math.nan) -> str:
     """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
@@ -11,7 +13,7 @@ def with_uncertainty(value: float, spread: float = math.nan) -> str:
     """
     if not math.isfinite(value):
         return "–"
-    if not math.isfinite(spread) or spread <= 0:
+    if not math.isfinite(spread) or spread <= _NOTHING * abs(value):
         return _rounded(value, _decimals(abs(value), 3) if value else 0)
     digits = _decimals(spread, 2)
     return f"{_rounded(value, digits)} ± {_rounded(spread, digits)}"

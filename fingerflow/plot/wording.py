@@ -5,6 +5,8 @@ import json
 import numpy as np
 import xarray as xr
 
+from fingerflow.schema.variable_record import Variable
+
 
 def is_sensor(result: xr.Dataset) -> bool:
     """Return whether a result is of a soft sensor, whose markers were tracked."""
@@ -23,6 +25,13 @@ def said(frame: xr.Dataset) -> str:
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")
     return ", ".join(words)
+
+
+def definition_of(variable: Variable, more: str = "") -> str:
+    """Return a sentence that defines a variable or column for captions, and ends in further words."""
+    words = variable.words
+    meaning = "" if variable.long_name == words else f": {variable.long_name}"
+    return f"{sentence(words)}{meaning}{more}."
 
 
 def sentence(words: str) -> str:

@@ -27,12 +27,13 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
             x = np.linspace(middles[0], middles[-1], 300)
             curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, linestyle=dashes, label=name)
-    axes.set_title(f"d' = {observer.d_prime:.2f}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
+    d_prime = f"d' = {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
+    axes.set_title(f"{d_prime}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
     return finished(
         axes,
         f"Trials answered correctly and incorrectly by {metric} over its 0.9 quantile, with fitted Gaussians. d': "
-        "difference of their means over the root mean square of their standard deviations, negative where correct trials "
-        f"have the smaller value. n = {observer.trials[0]} correct and {observer.trials[1]} incorrect trials.",
+        "difference of their means over the root mean square of their standard deviations, negative where correct "
+        f"trials have the smaller value. n = {observer.trials[0]} correct and {observer.trials[1]} incorrect trials.",
     )
 
 
@@ -46,11 +47,11 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
             label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})",
             **style,
         )
-    axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1))
     finished(
         axes,
-        "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion sweeps "
-        "the metric. In brackets: area under the curve, 0.5 by chance, and n, the number of trials.",
+        "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion "
+        "sweeps the metric. In brackets: area under the curve, 0.5 by chance, and n, the number of trials.",
     )
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
     return axes

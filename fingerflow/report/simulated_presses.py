@@ -18,7 +18,7 @@ from scipy.signal import savgol_filter
 from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.plot.axes_style import finished, line_styles
+from fingerflow.plot.axes_style import finished, legend_below, line_styles
 from fingerflow.plot.captions import describe
 
 Values = NDArray[np.float64]
@@ -98,13 +98,14 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]
             image = one.imshow(values, extent=extent, **scale)
             one.set_title(rf"$\epsilon_{{{name}}}$, friction {friction:g}")
         row[0].set_ylabel("mm")
+        row[0].locator_params(nbins=3)
     for one in axes[-1]:
         one.set_xlabel("mm")
     part.colorbar(image, ax=list(axes.flat), label="strain (%)", shrink=0.7)
     describe(
         axes.flat[0],
-        "Green-Lagrange strains of the skin over the contact at full load, from the skin chain turned about its axis, one "
-        f"row a friction coefficient. {_SINCE}",
+        "Green-Lagrange strains of the skin over the contact at full load, from the skin chain turned about its axis, "
+        f"one row a friction coefficient. {_SINCE}",
     )
     return axes
 
@@ -137,14 +138,15 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
         if rate:
             series = _rate(series, presses.time)
         _draw_series(one, presses, series)
-        if one is not axes[0] and (legend := one.get_legend()) is not None:
-            legend.remove()  # the same lines as beside
+        if (own := one.get_legend()) is not None:
+            own.remove()
         one.set(ylabel=f"median {name} strain{' rate (%/s)' if rate else ' (%)'}")
+    legend_below(part, axes[0])
     derived = f", by line fits over {_SLOPE_S:g} s" if rate else ""
     describe(
         axes[0],
-        f"Medians along the contact of the radial and hoop strain{' rate' * rate} of the skin chain{derived}, against the "
-        f"normal force. {_SINCE} n = {len(presses.friction)} presses.",
+        f"Medians along the contact of the radial and hoop strain{' rate' * rate} of the skin chain{derived}, against "
+        f"the normal force. {_SINCE} n = {len(presses.friction)} presses.",
     )
     return axes
 
@@ -173,8 +175,8 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
     axes.set(ylabel="speed of the furthest point (mm/s)")
     describe(
         axes,
-        "Speed along the plate of the element of the skin chain that is displaced furthest in contact, by line fits over "
-        f"{_SLOPE_S:g} s, against the normal force. n = {len(presses.friction)} presses.",
+        "Speed along the plate of the element of the skin chain that is displaced furthest in contact, by line fits "
+        f"over {_SLOPE_S:g} s, against the normal force. n = {len(presses.friction)} presses.",
     )
     return axes
 

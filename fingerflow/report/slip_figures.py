@@ -56,8 +56,8 @@ def draw_motion(
         axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
     describe(
         axes,
-        "Displacement of the skin as arrows at scale 1, with the outlines of the gross contact and of the stick region. "
-        f"n = {int(shown.sum())} points.",
+        "Displacement of the skin as arrows at scale 1, with the outlines of the gross contact and of the stick "
+        f"region. n = {int(shown.sum())} points.",
     )
     return axes
 
@@ -88,7 +88,7 @@ def draw_trial(
     known = int((np.isfinite(area) & np.isfinite(load)).sum())
     said = [
         "Stuck area over contact area, d², against the friction ratio T/N, tangential over normal force; yellow: "
-        f"T/N within {CORRIDOR:.0%} of its value at the complete loss of adhesion."
+        f"T/N within {100 * CORRIDOR:g} % of its value at the complete loss of adhesion."
     ]
     if collapses:
         critical = with_uncertainty(verdict.critical_area, verdict.critical_area_std)
@@ -115,9 +115,9 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
     drawn = sum(verdict.loss_load_ratio > 0 for *_, verdict in trials)
     return finished(
         axes,
-        "Stuck area over contact area, d², of each trial until its complete loss of adhesion, against the friction ratio "
-        f"T/N relative to that at the loss; yellow: within {CORRIDOR:.0%} of it. n = {len(trials)} trials, {drawn} of "
-        "them with a complete loss.",
+        "Stuck area over contact area, d², of each trial until its complete loss of adhesion, against the friction "
+        f"ratio T/N relative to that at the loss; yellow: within {100 * CORRIDOR:g} % of it. n = {len(trials)} trials, "
+        f"{drawn} of them with a complete loss.",
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
-from fingerflow.plot.axes_style import GREY, finished, line_styles
+from fingerflow.plot.axes_style import GREY, finished, legend_below, line_styles
 from fingerflow.plot.captions import describe
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 
@@ -67,11 +67,12 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]
     axes[0].set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
     axes[1].set(xlabel="along the plate (mm)", ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
     for one in axes:
-        finished(one)
+        one.grid(alpha=0.25)
+    legend_below(part, axes[0])
     describe(
         axes[0],
-        f"Pressure on the skin and its shape at n = {_SHAPES} forces of one press of the skin chain, friction coefficient "
-        f"{HIGH:g}.",
+        f"Pressure on the skin and its shape at n = {_SHAPES} forces of one press of the skin chain, friction "
+        f"coefficient {HIGH:g}.",
     )
     return axes
 
@@ -85,12 +86,13 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
     axes[0].set(ylabel="pressure (kPa)", title=f"{presses.force[-1]:.1f} N")
     axes[1].set(xlabel="along the plate (mm)", ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
-    finished(axes[0])
-    axes[1].grid(alpha=0.25)  # without a legend: the same lines as above
+    for one in axes:
+        one.grid(alpha=0.25)
+    legend_below(part, axes[0])
     describe(
         axes[0],
-        f"Pressure and traction on the skin at {presses.force[-1]:.1f} N. n = {len(presses.friction)} presses of the skin "
-        "chain.",
+        f"Pressure and traction on the skin at {presses.force[-1]:.1f} N. n = {len(presses.friction)} presses of the "
+        "skin chain.",
     )
     return axes
 
@@ -110,8 +112,8 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
     part.colorbar(image, ax=list(axes), label=r"$\sigma_z$ (kPa)")
     describe(
         axes[0],
-        f"Normal stress σz inside the skin at {presses.force[-1]:.1f} N, tension positive, at a low and a high friction "
-        "coefficient. Dots: depths of receptors.",
+        f"Normal stress σz inside the skin at {presses.force[-1]:.1f} N, tension positive, at a low and a high "
+        "friction coefficient. Dots: depths of receptors.",
     )
     return axes
 
@@ -127,10 +129,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
         one.grid(alpha=0.25)
     peak = depth.receptor_stress[1].min(-1)
     axes[0].set_title(f"peak of $\\sigma_z$, {_ratio(presses, peak)}, in print 1.2")
-    handles, labels = axes[0].get_legend_handles_labels()
-    part.legend(
-        handles, labels, frameon=False, ncols=2, loc="outside lower center",
-    )  # fmt: skip
+    legend_below(part, axes[0])
     axes[2].set_xlabel("along the plate (mm), 2 mm deep")
     describe(
         axes[0],

@@ -14,11 +14,11 @@ from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
 from fingerflow.plot.rounding import with_interval, with_uncertainty
-from fingerflow.plot.wording import sentence
+from fingerflow.plot.wording import definition_of, sentence
 from fingerflow.schema.trial_columns import NUMBERS
 
 Values = NDArray[np.float64]
-ANSWERED = 'p(comparison is "more slippery")'
+ANSWERED = "p(more slippery)"
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
@@ -50,11 +50,9 @@ def label_of(metric: str) -> str:
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
 
-def definition_of(metric: str) -> str:
-    """Return a sentence that defines a metric, for captions."""
-    own = NUMBERS[metric.removesuffix(DIFFERENCE)]
+def _defined(metric: str) -> str:
     less = ", comparison less reference" if metric.endswith(DIFFERENCE) else ""
-    return f"{sentence(own.words)}: {own.long_name}{less}."
+    return definition_of(NUMBERS[metric.removesuffix(DIFFERENCE)], less)
 
 
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
@@ -70,7 +68,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     axes.set(xlabel=label_of(metric), ylabel="trials")
     return finished(
         axes,
-        f"Histogram. {definition_of(metric)} Line and band: mean ± one standard deviation over trials. "
+        f"Histogram. {_defined(metric)} Line and band: mean ± one standard deviation over trials. "
         f"n = {known.size} trials.",
     )
 
@@ -91,13 +89,14 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         middles = np.array([np.median(values[known][group]) for group in groups])
         limits = np.array([_wilson(answers[group], trials.participant[known][group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
-    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
+    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
     axes.set_title(_of_anova(test))
     return finished(
         axes,
         f"Share of trials in which the comparison was felt as more slippery, in {_BINS} bins of equally many trials at "
-        f"their median. {definition_of(metric)} Bars: 95 % intervals, participants as units. {_said_of(test)}",
+        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_said_of(test)} "
+        f"n = {int(known.sum())} trials.",
     )
 
 
@@ -127,20 +126,15 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
             linewidth=0,
             **bar,
         )
-    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.45))
-    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
     size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
     axes.set_title(size)
-    finished(
+    return finished_beside(
         axes,
+        label_of(metric),
         "Share of trials in which the comparison was felt as more slippery, by vibration amplitude, for trials in the "
-        f"low, middle and high third of the metric. {definition_of(metric)} n = {size}.",
+        f"low, middle and high third of the metric. {_defined(metric)} n = {size}.",
     )
-    axes.legend(
-        frameon=False, title=label_of(metric), ncols=3, loc="upper center", handlelength=1.0, handletextpad=0.4,
-        columnspacing=0.7,
-    )  # fmt: skip
-    return axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
@@ -176,8 +170,8 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     over = f"{sentence(label)}, the median of the participant's trials."
     return finished(
         axes,
-        f"Dots: trials, by vibration amplitude. {over if normalised else definition_of(metric)} Line: median; bar: mean ± "
-        f"one standard deviation over trials. {_said_of(test)}",
+        f"Dots: trials, by vibration amplitude. {over if normalised else _defined(metric)} Line: median; bar: mean ± "
+        f"one standard deviation over trials. {_said_of(test)} n = {int(np.isfinite(values).sum())} trials.",
     )
 
 
@@ -194,7 +188,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         own = condition == index
         axes.plot(medians[own], shares[own], label=conditions[index], **style)
     found = spearman(medians, shares, participants=who)
-    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
+    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.05))
     axes.locator_params(axis="x", nbins=5)
     size = f"{found.trials} dots of {found.participants} participants"
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}")
@@ -202,7 +196,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
-        f"participant and amplitude. {definition_of(metric)} Spearman's rank correlation (95 % interval): "
+        f"participant and amplitude. {_defined(metric)} Spearman's rank correlation (95 % interval): "
         f"{with_interval(found.value, *found.interval)}, {_p(found.p)}; n = {size}.",
     )
 
@@ -223,7 +217,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     size = f"{found.trials} trials of {np.unique(trials.participant).size} participants"
     return finished(
         axes,
-        f"One dot a trial, one marker a participant. {definition_of(first)} {definition_of(second)} Line: least squares; "
+        f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} Line: least squares; "
         f"± one standard error, trials taken as independent. n = {size}.",
     )
 
@@ -236,7 +230,7 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
     axes.set_title(f"r = {with_interval(found.value, low, high)}, {found.trials} trials")
     return finished(
         axes,
-        f"One dot a trial, one marker a participant. {definition_of('divergence')} {definition_of('curl')} r: Pearson's "
+        f"One dot a trial, one marker a participant. {_defined('divergence')} {_defined('curl')} r: Pearson's "
         f"correlation with its 95 % interval, participants as units. n = {found.trials} trials of "
         f"{np.unique(trials.participant).size} participants.",
     )
@@ -271,7 +265,7 @@ def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
     finished(axes, caption)
     axes.legend(
         frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,
-        handlelength=1.6 if axes.lines[0].get_linestyle() != "None" else 0.8,
+        handlelength=2.4 if axes.lines and axes.lines[0].get_linestyle() != "None" else 0.8,
     )  # fmt: skip
     return axes
 
@@ -329,15 +323,16 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
 
 def _of_anova(test: Anova) -> str:
     """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
-    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     if np.isnan(test.f):
-        return f"no F, {size}"
+        return "no F"
+    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
 
 
 def _said_of(test: Anova) -> str:
     """Return a sentence on an analysis of variance for captions."""
-    return f"ANOVA with participants as a random effect: {_of_anova(test)}."
+    reason = f" ({test.reason})" if test.reason else ""
+    return f"ANOVA with participants as a random effect: {_of_anova(test)}{reason}."
 
 
 def _p(value: float) -> str:

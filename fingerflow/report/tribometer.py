@@ -132,8 +132,8 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
     axes.set(xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, _enough(epochs.median.numpy())))
     return finished(
         axes,
-        "Friction coefficient |T|/N against the amplitude of the vibration. Grey: median of each epoch. Dots: median over "
-        f"epochs; bars: lower to upper quartile. n = {int(count.max(initial=0))} epochs.",
+        "Friction coefficient |T|/N against the amplitude of the vibration. Grey: median of each epoch. Dots: median "
+        f"over epochs; bars: lower to upper quartile. n = {int(count.max(initial=0))} epochs.",
     )
 
 

@@ -114,9 +114,10 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, float(means.min()) - margin), min(high, float(means.max()) + margin))
     caption = (
-        f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. Bands: "
-        "their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
-        f"n = {int(own['participants'].max())} participants, {int(own.groupby('condition')['trials'].max().sum())} trials."
+        f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
+        "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
+        f"n = {int(own['participants'].max())} participants, "
+        f"{int(own.groupby('condition')['trials'].max().sum())} trials."
     )
     named = bool(axes.get_legend_handles_labels()[0])
     return finished_beside(axes, AMPLITUDE, caption) if named else finished(axes, caption)

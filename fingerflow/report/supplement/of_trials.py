@@ -88,7 +88,13 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 def surface_strain(sources: Sources) -> Sheet:
     """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
     chain = (
-        SheetPanel("B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses), columns=3, rows=2),
+        SheetPanel(
+            "B and D (skin chain)",
+            lambda part: draw_strain_maps(part, sources.presses),
+            columns=3,
+            rows=2,
+            narrow_rows=1.6,
+        ),
         SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
         SheetPanel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
     )

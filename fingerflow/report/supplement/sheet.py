@@ -13,19 +13,22 @@ from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.panels import captions_of, letter_panel
 
 _COLUMNS = 3
-_PAGE_MM = 235.0  # height that a figure may have on a printed page
-_HEIGHT = 0.8  # of a panel, as a share of its width
-_LEAST_MM, _NARROWEST_MM = 55.0, 40.0  # width of a panel; where it takes that to fit on a page
+_WIDE_MM, _HIGH_MM = 55.0, 48.0  # least width and height of a panel, with which its text has room
+_FLATTEST = 0.5  # least height of a panel as a share of its width
 
 
 @dataclass(frozen=True)
 class SheetPanel:
-    """Panel of a figure: its letter in print, drawing function, width in columns (of three), and relative height."""
+    """Panel of a figure: its letter in print, drawing function, width in columns (of three), and relative height.
+
+    `narrow_rows` is its relative height in a figure with fewer columns than it takes, where that differs.
+    """
 
     letter: str
     draw: Callable[[SubFigure], Any]
     columns: int = 1
     rows: float = 1.0
+    narrow_rows: float | None = None
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
@@ -33,8 +36,8 @@ class SheetPanel:
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
     def height(self, columns: int) -> float:
-        """Return the relative height in a figure of some columns, less where those are fewer than the panel's."""
-        return self.rows * float(min(columns / self.columns, 1.0) ** 0.5)
+        """Return the relative height in a figure of some columns."""
+        return self.rows if columns >= self.columns or self.narrow_rows is None else self.narrow_rows
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,8 @@ class Sheet:
         rows, columns = self._rows(width_mm)
         heights = [max(panel.height(columns) for panel in row) for row in rows]
         with figure_style(width_mm):
-            figure = new_figure(_HEIGHT * sum(heights) / columns)
+            high_mm = max(_HIGH_MM, _FLATTEST * width_mm / columns)
+            figure = new_figure(high_mm * sum(heights) / width_mm)
             grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
             parts: list[SubFigure] = []
             for number, row in enumerate(rows):
@@ -86,16 +90,12 @@ class Sheet:
         return files.save(self.figure(files.width_mm or TWO_COLUMNS_MM), folder, self.name)
 
     def _rows(self, width_mm: float) -> tuple[list[list[SheetPanel]], int]:
-        """Return the panels in rows, and the number of columns: the fewest with which the figure fits on a page."""
-        least = max(1, min(_COLUMNS, int(width_mm // _LEAST_MM)))
-        for columns in range(least, _COLUMNS + 1):
-            rows: list[list[SheetPanel]] = []
-            for panel in self.panels:
-                taken = sum(min(other.columns, columns) for other in rows[-1]) if rows else columns
-                if taken + min(panel.columns, columns) > columns:
-                    rows.append([])
-                rows[-1].append(panel)
-            high = _HEIGHT * width_mm / columns * sum(max(panel.height(columns) for panel in row) for row in rows)
-            if high <= _PAGE_MM or width_mm / (columns + 1) < _NARROWEST_MM:
-                break
+        """Return the panels in rows, and the number of columns, in each of which a panel has at least 55 mm."""
+        columns = max(1, min(_COLUMNS, int(width_mm // _WIDE_MM), sum(panel.columns for panel in self.panels)))
+        rows: list[list[SheetPanel]] = []
+        for panel in self.panels:
+            taken = sum(min(other.columns, columns) for other in rows[-1]) if rows else columns
+            if taken + min(panel.columns, columns) > columns:
+                rows.append([])
+            rows[-1].append(panel)
         return rows, columns
