@@ -38,8 +38,8 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
         against: variable of the horizontal axis; None for the normal force where it only rises or falls, else time.
 
     Returns:
-        The axes; save the figure by ``axes.figure.savefig("area.pdf")``. Values are in the units in which variables are
-        shown (`fingerflow outputs`).
+        The axes, with a caption (`caption_of`); `FigureFiles` saves their figure. Values are in the units in which
+        variables are shown (`fingerflow outputs`).
 
     Raises:
         FingerflowError: the result lacks a variable that is drawn.
