@@ -99,9 +99,10 @@ def settle(figure: Figure) -> None:
     with mpl.rc_context({"font.family": [FONT]}):
         # Maps need a second run, as their axes have another shape after the first. Axes are smaller beside labels of
         # several lines, which may then need more of them.
+        again = any(axes.get_aspect() != "auto" for axes in figure.axes)
         for run in range(_MOST_RUNS):
             layout.execute(figure)
-            if not _break_long_texts(figure) and run:
+            if not _break_long_texts(figure) and run >= again:
                 break
     figure.set_layout_engine("none")
 
