@@ -226,7 +226,7 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     """Return the caption of curves: definition of each variable, meaning of bands, number of frames."""
     shown = dict.fromkeys(curve.variable for curve in curves)
     said = [f"{title} against {against.partition(' (')[0]}."]
-    said += [definition_of(VARIABLES[name]) for name in shown]
+    said += [definition_of(one) for one in map(VARIABLES.__getitem__, shown) if one.long_name != one.words]
     banded = [curve for curve in curves if curve.std is not None]
     if banded:
         own = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
