@@ -44,7 +44,7 @@ def process(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compute a scene and save the result."""
+    """Process the recording of a scene and save the result."""
     from fingerflow.results.result import scene_of
     from fingerflow.schema.scene import load_scene
 

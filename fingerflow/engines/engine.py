@@ -328,7 +328,7 @@ class Engine(Protocol):
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return an empty tracking result: that of a number of frames without points."""
+    """Return the empty tracking result of `frames` frames without any points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

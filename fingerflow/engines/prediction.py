@@ -28,8 +28,7 @@ class Course(NamedTuple):
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Return the motion after one more frame, in which the tracker has seen the points at the positions `found` (1,
-        N).
+        """Return the motion after one more frame, in which the points were tracked to the positions `found` (1, N).
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

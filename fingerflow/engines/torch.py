@@ -326,7 +326,7 @@ class TorchEngine:
         ]
 
     def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Concatenate points found in frames of several recordings; return the recording of each frame, and the points.
+        """Concatenate the points found in several recordings; return the recording index of each frame, and the points.
 
         The first result is None for a single recording.
         """

@@ -42,7 +42,7 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class Left(NamedTuple, Generic[Array]):
-    """Residual left by a flow: means over cells of what displacement and illumination do not explain."""
+    """Residual of a flow: cell means of the image difference that displacement and illumination do not explain."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -82,7 +82,7 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return a symmetric window as kernel arguments: the weights from the middle on; raise ValueError if asymmetric."""
+    """Return half of a symmetric window as kernel arguments; raise ValueError if the window is asymmetric."""
     if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
         raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2

@@ -54,7 +54,10 @@ REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain coun
 
 @dataclass(frozen=True)
 class PressedChain:
-    """State of pressed skin chains of N elements, for every parameter set (...) and, from `follow`, T times first."""
+    """State of pressed skin chains of N elements, for every parameter set (...).
+
+    The results of `follow` have a leading axis of T times.
+    """
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
     displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
@@ -170,7 +173,7 @@ def follow(
 
 
 def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the skin chains of all parameter sets, and their undeformed state, from which a simulation begins."""
+    """Return the skin chains of all parameter sets, and their undeformed initial state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]

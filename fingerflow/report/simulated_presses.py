@@ -187,7 +187,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, by turning each chain about its axis.
+    """Return extents (mm) and strain maps (2, H, W, 3) of the contact at low and high friction, by rotational symmetry.
 
     They are those at full load; NaN off contact.
     """

@@ -144,7 +144,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return the line styles of the presses, ever thinner, as nearly equal curves would hide each other."""
+    """Return line styles of decreasing width for the presses, so that nearly equal curves stay visible."""
     widths = np.linspace(3.5, 0.9, len(presses.friction))
     return [
         {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}

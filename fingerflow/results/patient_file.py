@@ -91,7 +91,7 @@ class PatientFile:
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raise a write error, except for a disk that has been full for less than half a minute."""
+        """Raise a write error, unless the disk has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

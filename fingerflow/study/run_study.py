@@ -148,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the default number of trials per group, above 1 only on a GPU of this computer and without a cluster."""
+    """Return the default number of trials per group: above 1 only for a GPU of this computer."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1

@@ -27,7 +27,7 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error that asks for leave to replace a file whose content this page has neither read nor written."""
+    """Error that asks for permission to overwrite a file whose content this page has neither read nor written."""
 
 
 class Draft:

@@ -51,8 +51,9 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Return offsets (K,) mm of a square window's pixels along the normal of a border, pooled over directions of the
-    border.
+    """Return distances (K,) mm of a square window's pixels from its centre along the normal of a border.
+
+    They are pooled over several directions of the border.
 
     The positions are sorted.
     """

@@ -42,7 +42,7 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent contact, the region in which ridges touch about half as densely as in its middle, or more.
+    """Segment the apparent contact, where touching ridges are at least about half as dense as in its middle.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex

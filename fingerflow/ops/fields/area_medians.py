@@ -35,7 +35,7 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points kept apart from the local fits, because their divergence, curl and strain are already given."""
+    """Points excluded from the local fits, because their divergence, curl and strain are given."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -239,7 +239,7 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
 
 
 class _OfNearest(NamedTuple):
-    """Fields at Q positions, taken from the nearest point where that point belongs to `Apart`."""
+    """Fields of the nearest point at Q positions, where that point is excluded from fits (`Apart`)."""
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -248,7 +248,7 @@ class _OfNearest(NamedTuple):
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Return the fields of the nearest point, for each position whose nearest point belongs to `Apart`.
+    """Return the fields of the nearest point for each position, where that point is excluded from fits (`Apart`).
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -284,8 +284,7 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) of each position in the error of a median: large where the field lies beside the
-    median.
+    """Return the weight (B, 5, Q) of each position in the error of a median: large for values close to the median.
 
     The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
     median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,

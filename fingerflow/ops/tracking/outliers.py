@@ -184,6 +184,6 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far displacement differences u, v (B, k, N) lie above planes of given slopes (B, 1, N)."""
+    """Return the residuals of displacement differences u, v (B, k, N) from planes of given slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

@@ -71,7 +71,7 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """Search for windows as `search_windows` does, and search back from each match to the start.
+    """Search for windows by `search_windows`, and check each match by a backward search.
 
     Return the positions (P, 2), and whether (P,) the backward search returns to the start. The search back is
     independent of the displacement found. It must end within `forward_backward_limit`, plus the pixel to which a search

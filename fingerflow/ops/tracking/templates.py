@@ -134,7 +134,7 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Compute templates anew from the spline coefficients and the noise level of a key frame with integer grey levels.
+    """Update templates from the spline coefficients and noise level of a key frame with integer grey levels.
 
     This is the exported form of `prepare_templates`.
 
@@ -252,7 +252,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to an equal number L per frame.
+    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to L in every frame.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """

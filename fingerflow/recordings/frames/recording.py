@@ -86,7 +86,7 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the codec if it predicts frames from others, so that standard deviations are invalid; else None."""
+        """Return the codec if it predicts frames from others, which makes standard deviations invalid; else None."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property

@@ -71,7 +71,7 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process read a file; return the content, or a text that says what is wrong, "" if nothing."""
+        """Let the child process read a file; return the content, or an error text that is "" for a sound file."""
         with self._lock:
             process = self._running()
             if process is None:

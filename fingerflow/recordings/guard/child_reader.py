@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Call `through` on a file with limits of time and memory; return the content, or what is wrong, "" if nothing."""
+    """Read a file by `through` with limits of time and memory; return the content, or an error text ("" if sound)."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -51,7 +51,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Traverse objects, attributes and chunk indexes of an HDF5 file; return what is wrong, or ""."""
+    """Traverse objects, attributes and chunk indexes of an HDF5 file; return an error text, or "" on success."""
     import h5py
 
     count = 0
@@ -142,7 +142,7 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
 
 
 def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
-    """Return what is wrong in the chunk index of an HDF5 data set, since HDF5 reads wrong values without an error.
+    """Return an error in the chunk index of an HDF5 data set that HDF5 itself does not report; None on success.
 
     Each chunk has a place of its own in the grid and bytes of its own in the file, as many as its filters leave it.
     Chunks that were never written are allowed. HDF5 crashes on a chunk that is shorter than its checksum.
