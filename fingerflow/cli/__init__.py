@@ -1,4 +1,4 @@
-"""Command line of fingerflow: each function is a command without logic, each file groups commands of one purpose."""
+"""Command line of fingerflow: one function per command, one file per group of commands."""
 
 import _thread
 import signal

@@ -48,7 +48,7 @@ def keys(
 
 @app.command()
 def info(recording: Path, as_json: AsJson = False) -> None:
-    """Print the properties of a recording without decoding frames; damage inside frames is not detected."""
+    """Print the properties of a recording; frames are not decoded, so damage in their pixels is not detected."""
     from fingerflow.recordings import open_recording
 
     found = open_recording(recording)

@@ -86,7 +86,7 @@ class TemplateBuffers(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (N, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (N, 32) in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
@@ -247,7 +247,7 @@ class Engine(Protocol):
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of the frame's noise."""
+        """Return a copy of a frame (1, 1, H, W) as key frame, with the standard deviation of its noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:

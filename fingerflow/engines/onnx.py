@@ -59,7 +59,7 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (n, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (n, 32) in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:

@@ -30,7 +30,7 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """Fields of the first of two images, from which the dense optical flow between them is computed."""
+    """Fields computed from the first of two images, as needed for the dense optical flow between them."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask

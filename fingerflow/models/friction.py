@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Friction(NamedTuple):
-    """Friction forces (N,) on N elements after a slide, and their derivatives by position along and above the plate."""
+    """Friction forces (N,) on N elements, with derivatives with respect to position along and above the plate."""
 
     force: Array
     along: Array

@@ -90,8 +90,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    """Return the factor by which the time step grows: a power of 2^(1/4), from 2^(-7/4) to 2, by the error of the last
-    step.
+    """Return the factor for the next time step from the error of the last one: a power of 2^(1/4), 2^(-7/4) to 2.
 
     The coarse grid keeps rounding in the error from changing the step lengths.
     """

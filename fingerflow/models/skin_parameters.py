@@ -11,7 +11,10 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Mechanical parameters of the skin per element of a chain of 501; tensors of one shape stand for many chains."""
+    """Mechanical parameters of the skin, per element of a chain of 501 elements.
+
+    Tensors of one shape hold the parameters of many chains.
+    """
 
     radius: Number  # m, of the half-circle
     membrane_stiffness: Number  # N/m, k_m of the link between two neighbours
@@ -24,7 +27,10 @@ class SkinParameters:
     width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """Return this skin in ``count`` elements: link stiffness inverse to element length, all else proportional."""
+        """Return the parameters of this skin for a chain of ``count`` elements.
+
+        The link stiffness is inverse to the element length, all else is proportional to it.
+        """
         finer = (count - 1) / 500
         return replace(
             self,

@@ -84,7 +84,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return a mapping from the class of each planned stage (`Stage.place`) to the stage's cache key.
+    """Return the cache key of each planned stage, by the class of the stage (`Stage.place`).
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """

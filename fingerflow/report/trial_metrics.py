@@ -63,7 +63,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
+    """Draw figures S5 E, F and G: share of answers in eight bins of a metric, with 95 % intervals and an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """

@@ -16,7 +16,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Check that writing an output spares the input files of a command: none of them may be overwritten.
+    """Check that an output path overwrites none of the input files of a command.
 
     Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file

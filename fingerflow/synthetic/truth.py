@@ -165,8 +165,7 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the gradient (..., 2, 2) of skin displacement since the time at which the given point came into
-        contact.
+        """Return the gradient (..., 2, 2) of the skin's displacement since the given point came into contact.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.

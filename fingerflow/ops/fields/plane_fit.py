@@ -45,7 +45,7 @@ class PlaneFit(NamedTuple):
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return the positions of points relative to the mean of the points, in radii, and a mask of the known points.
+    """Return point positions relative to their mean, in units of the radius, and a mask of the known points.
 
     Points are (B, N, 2), the results (B, 2, N) and (B, 1, N) bool. Unknown positions are 0.
     """

@@ -157,7 +157,7 @@ def window_variance(weights: list[float]) -> float:
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Integrate fields (B, C, h, w) over a window: return means with the weights applied along x and along y.
+    """Return weighted means of fields (B, C, h, w) over a window, with the weights applied along x and along y.
 
     Values beyond the border count as 0.
     """

@@ -149,7 +149,7 @@ class ContactStage(Stage):
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the gross contact (1, 1, h, w) of the reference frame, plus that of the first frame if it differs
+        """Return the gross contact (1, 1, h, w) of the reference frame, joined with the first frame's if both differ
         much.
 
         It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact

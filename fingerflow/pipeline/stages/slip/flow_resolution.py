@@ -20,7 +20,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures near a slip border when the true displacement is x^p at a distance of x mm.
+    """Response of dense flow to a slip border, beyond which the true displacement is x^p at a distance of x mm.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
