@@ -140,7 +140,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return likely circles (agreement, x, y, radius) px in a reduced image, by a Hough vote of brightness gradients."""
+    """Return likely circles (agreement, x, y, radius) px in a reduced image, by Hough votes of brightness gradients."""
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)

@@ -24,7 +24,7 @@ LIGHT_SHARE = 1 / 8
 
 
 def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike | None, ring: ArrayLike) -> None:
-    """Write a PNG image of the calibration frames (H, W), with the detected discs and the hole drawn over them.
+    """Write a PNG image of the calibration frames (H, W) with the detected discs and the hole.
 
     Top: both views of the target with the discs, and the ring with its hole. Bottom: the topography view transformed to
     the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges continue across squares),

@@ -236,7 +236,7 @@ class Engine(Protocol):
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) that is True for points (K, N, 2) px of the topography view under the apparent contact.
+        """Return a mask (K, N) of points (K, N, 2) px of the topography view that lie in the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """

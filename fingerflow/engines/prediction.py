@@ -11,7 +11,7 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, Track
 
 
 class Course(NamedTuple):
-    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, and True (N,) if found."""
+    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, mask (N,) of found points."""
 
     place: Array
     speed: Array

@@ -339,7 +339,10 @@ class TorchEngine:
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
     def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Repeat the values (N, ...) of each recording for each of its frames; (1, N, ...) for a single recording."""
+        """Repeat the values (N, ...) of each recording for each of its frames.
+
+        The result is (1, N, ...) for a single recording.
+        """
         given = self._tensor(stacked(values))
         return given if own is None else given[own]
 

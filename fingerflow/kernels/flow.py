@@ -72,7 +72,7 @@ def _computed(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return the kernel arguments batch, height and width of images (B, 1, H, W), and shapes of image and cell grid."""
+    """Return the size arguments for images (B, 1, H, W), and the shapes of the image and of the cell grid."""
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 

@@ -1,5 +1,6 @@
-"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin
-deformation model"), derived from an energy.
+"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement).
+
+It is derived from an energy, after the section "Skin deformation model".
 
 **Energy.** Elements i at X_i = (x, z) surround a rigid bone displaced by U; the plate is at z = 0. X_i0 is the
 undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
@@ -147,7 +148,7 @@ def follow(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
-    """Compute the motion of a skin chain at times (T,) under loads that are linear between them, such as a force trace.
+    """Compute the motion of a skin chain at times (T,) under a load trace that is linear between these times.
 
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
     each time, at the current positions of the elements. Raises ValueError as `press` does.
@@ -186,7 +187,7 @@ def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, 
 
 
 def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether motion is prescribed instead of force."""
+    """Return the loads (..., 2) along x and z, and for each direction whether the motion is prescribed."""
     load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m

@@ -153,8 +153,9 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method; return X, friction and last
-    matrix.
+    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method.
+
+    Return X, the friction and the last matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.

@@ -47,5 +47,5 @@ def products(left: Tensor, right: Tensor) -> Tensor:
 
 
 def bytes_of(mask: Tensor) -> Tensor:
-    """Convert a bool mask to uint8, 0 or 1: as a view of the same memory, or by a cast while a graph is exported."""
+    """Convert a bool mask to uint8 (0 or 1), without a copy unless a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)

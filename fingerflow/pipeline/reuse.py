@@ -182,7 +182,7 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield (dotted key, value) of a scene key, or of all keys of a table; files are represented by a digest."""
+    """Yield (dotted key, value) of a scene key or of all keys of a table, with a digest in place of a file."""
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return

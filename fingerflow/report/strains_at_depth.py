@@ -153,7 +153,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return as text the ratios of values (K,) at the high friction to those at the low and at the least friction."""
+    """Return a text with the ratios of values (K,) at high friction to those at low and at least friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

@@ -110,8 +110,9 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
-    ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric of the trials by vibration amplitude, with an ANOVA.
+
+    Trials, medians and mean ± SD are drawn.
 
     Args:
         axes: axes to draw into.

@@ -51,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether a file contains the `MARK` of this package in the first or last MiB, where metadata is stored."""
+    """Return whether a file contains the `MARK` of this package in its metadata (first or last MiB)."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)

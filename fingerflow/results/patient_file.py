@@ -26,8 +26,9 @@ class Refusal(NamedTuple):
 
 
 class PatientFile:
-    """Writer that appends to a file; while the disk is full, data is buffered in memory and writing is retried each
-    second.
+    """Writer that appends to a file, and buffers data in memory while the disk is full.
+
+    Writing is retried each second.
 
     Nothing is lost if space is freed within half a minute; after that, `flush` raises the error of the disk. `flush`
     returns at once in between, unless `wait` is set or the buffer exceeds 256 MiB.

@@ -107,7 +107,7 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is unchanged: by its digest, and by its time as well if only samples were digested."""
+    """Return True if a file is unchanged by its digest, and also by its time if only samples were digested."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 

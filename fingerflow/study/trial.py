@@ -51,7 +51,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a trial's job: status, reason, and processor time (s) divided by the number of trials in the batch."""
+    """Outcome of a trial's job: status, reason, and share of the processor time (s) of the batch."""
 
     name: str
     status: str

@@ -184,7 +184,7 @@ def _fading(count: int, period: float) -> Plane:
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return at each pixel the brightest grey level within one ridge distance, which is that of glass or a valley."""
+    """Return at each pixel the brightest grey level within one ridge distance: that of glass or of a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 

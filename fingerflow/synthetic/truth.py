@@ -281,8 +281,7 @@ class Truth:
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN for points
-        that never do.
+        """Return progress (...) and position (..., 2) at which material points enter the contact; NaN if they never do.
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """

@@ -73,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
+    """Return the length, in frames, of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -103,13 +103,13 @@ def _steps(distances: Distances) -> tuple[Distances, Distances]:
 
 
 def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the denominator of the quotient that detects jumps: the largest of the given distances and 1."""
+    """Return the denominator of the jump measure: the largest of the given distances and 1."""
     result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
     return result
 
 
 def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that is large if the image jumps.
+    """Return a measure (F - length - 1, rows) for each run of `length` frames that is large if the image jumps.
 
     It is the distance of the run from the two frames around it, over the distance between these two.
     """

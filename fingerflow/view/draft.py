@@ -98,8 +98,9 @@ class Draft:
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Set a key of the draft, or remove it if the value is None; a table that becomes empty is removed if not
-        required.
+        """Set a key of the draft, or remove it if the value is None.
+
+        A table that becomes empty is removed, unless it is required.
 
         Raises:
             FingerflowError: a parent of the key is not a table, or TOML has no such value.

@@ -168,7 +168,7 @@ def _slope(density: Tensor) -> Tensor:
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """Return the connected component of a region that contains the densest cell, resolved to blocks of 8 x 8 cells.
+    """Return the connected component of a region that contains the densest cell, at a resolution of 8 x 8 cells.
 
     The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
     is longer is cut off there.
@@ -199,7 +199,7 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the area of a region, and the centre, semi-axes and angle of the ellipse that has the region's moments.
+    """Compute the area of a region, and centre, semi-axes and angle of the ellipse with equal moments.
 
     Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """

@@ -125,8 +125,9 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians without the points that are unknown in every frame, or with all points while torch traces a
-    graph.
+    """Compute the medians without the points that are unknown in every frame.
+
+    All points are used while torch traces a graph.
 
     The known points are few while a contact grows.
     """

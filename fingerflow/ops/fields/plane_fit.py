@@ -153,7 +153,7 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """Return the second-order products aa, ab and bb (B, 3, N) of pairs of components (a, b), which are (B, 2, N)."""
+    """Return the second-order products aa, ab and bb (B, 3, N) of pairs (a, b) (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 

@@ -319,7 +319,7 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Estimate the flow without an initial value, from halved images; the flow is 0 if there are no halved images."""
+    """Estimate the flow without an initial value, from halved images; 0 if there are none."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:

@@ -60,7 +60,7 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px: return (B, 2, h, w).
+    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px.
 
     The mask `inside` (B, 1, H, W) is 1 or 0. Non-finite values count as 0; a cell without a pixel inside is 0.
     """

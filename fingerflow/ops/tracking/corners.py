@@ -249,7 +249,7 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Mark the corner candidates to keep: each is kept unless it lies too near a stronger candidate that is kept.
+    """Mark the corner candidates that do not lie too close to a stronger candidate that is kept.
 
     Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
     is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first

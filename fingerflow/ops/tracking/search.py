@@ -148,8 +148,7 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
-    """Return the flat index (P,) of the highest score in each square map, or of the most central of nearly equal
-    scores.
+    """Return the flat index (P,) of the highest score in each square map; of nearly equal ones the most central.
 
     Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
     """

@@ -270,7 +270,7 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), where `wanted` (B, N) is True."""
+    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), only where `wanted` (B, N)."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -327,7 +327,7 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Remove from slopes (P, 2, samples) the components that a change of gain and offset of the light would cause.
+    """Remove from slopes (P, 2, samples) the components that a change of gain or offset of the light would cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """

@@ -28,8 +28,7 @@ Points = NDArray[np.float64]
 
 
 class Moved(NamedTuple):
-    """Displacement of N points in n frames from the reference position; NaN before contact and for points that never
-    touch.
+    """Displacement of N points in n frames from the reference position; NaN before contact.
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
@@ -298,9 +297,7 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return the positions (..., N, 2) mm of N points, each in its own frame of `frames` (..., N); -1 is the last
-        frame.
-        """
+        """Return the positions (..., N, 2) mm of N points, each in its own frame (`frames`, -1 for the last frame)."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 

@@ -92,7 +92,7 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of the medians in n frames due to the uncertain rank of the median.
+    """Return the variance (n, 5) of the medians in n frames that results from their uncertain rank.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.

@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of cells, in contact now or soon, that have no point (N, 2) within `far` px.
+        """Return the flattened mask of cells in contact (now or soon) without a point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
