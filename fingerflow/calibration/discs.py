@@ -1,4 +1,4 @@
-"""Detection of the dark discs of a target, and of the hole of the scale ring, even under uneven light."""
+"""Detect the dark discs of a target and the hole of the scale ring, even under uneven light."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Typer application to which all commands are added, and options that several commands share."""
+"""Define the Typer application of all commands, and the options that several commands share."""
 
 import json
 from typing import Annotated, Any

@@ -1,4 +1,4 @@
-"""Commands that prepare a scene: facts about a recording, the scene file, and the calibration."""
+"""Commands that prepare a scene: `init`, `keys`, `info` and `calibrate`."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,4 +1,4 @@
-"""Commands that compute results from a scene, and that list the variables of results."""
+"""Commands that compute results of a scene (`process`) and list result variables (`outputs`)."""
 
 import json
 from pathlib import Path

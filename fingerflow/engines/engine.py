@@ -1,4 +1,4 @@
-"""Interface of the engines, and the arrays that are passed to and from them."""
+"""Define the interface of the engines, with the arrays that are passed to and from them."""
 
 from __future__ import annotations
 

@@ -211,7 +211,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Compute the fields of the first of two images for dense flow, as `ops.flow.dense_flow`.
+    """Compute the fields of the first image that dense flow needs, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """

@@ -1,4 +1,4 @@
-"""Dahl's friction model: a spring at small displacement, sliding at a limit (Dahl 1968; Willemet et al. 2021, eq. 7).
+"""Dahl's friction model: elastic at small displacement, then sliding (Dahl 1968; Willemet et al. 2021, eq. 7).
 
 F is the force on the body that carries the slider; the skin feels -F, against its motion. Over a distance x slid in the
 direction s = sign(dx),

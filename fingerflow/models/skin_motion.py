@@ -1,4 +1,4 @@
-"""Time integration of many skin chains: by the compiled library where available, else one chain after the other."""
+"""Integrate the motion of many skin chains in time, by the compiled library where it is available."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Objects exchanged between the threads of a stream: closable queues, ordered completion, frame buffers."""
+"""Objects that the threads of a stream exchange: closable queues, ordered completion, frame buffers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inline SVG of a matplotlib figure for an HTML page, and the values of its curves for the page's cursor."""
+"""Convert a matplotlib figure to inline SVG for a page, with curve values that the page shows at the cursor."""
 
 import base64
 import io

@@ -1,4 +1,4 @@
-"""Atomic writing of output files, and protection of inputs and unrelated files from being overwritten."""
+"""Write output files atomically, and protect inputs and unrelated files from being overwritten."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

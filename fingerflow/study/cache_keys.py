@@ -1,4 +1,4 @@
-"""Cache keys of a trial, which decide whether it must run again: digests of file contents, settings and code.
+"""Compute the cache keys of a trial, which decide whether it must run again.
 
 `result` is the key of the whole result; `row` is the key of the row in the table and includes `result`. Which stages
 depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed gauge length reads no image.

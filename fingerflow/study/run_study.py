@@ -1,4 +1,4 @@
-"""Selection of the trials of a study that must run, with reasons, and their execution on Dask."""
+"""Select the trials of a study that must run, and run them on Dask."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

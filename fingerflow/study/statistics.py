@@ -1,4 +1,4 @@
-"""Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
+"""Compute the paper's statistics from a table of trials, with counts of the excluded trials."""
 
 import math
 from collections.abc import Mapping

@@ -91,7 +91,7 @@ def _length_of_jump(
 
 
 def _steps(distances: Distances) -> tuple[Distances, Distances]:
-    """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
+    """Return two distances (F, rows) of each frame: from the closer of two preceding, and of two following frames.
 
     They are 0 where there are none.
     """
@@ -142,7 +142,7 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
 
 
 def _reversed(distances: Distances) -> Distances:
-    """Reorder the distances of `block_distances` as if the frames came in reversed order."""
+    """Convert the distances of `block_distances` to those of the frames in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):

@@ -1,4 +1,4 @@
-"""Slip flag of a stream: whether points in contact deviate from a rigid motion by more than noise."""
+"""Detect slip in a stream: points in contact deviate from a rigid motion by more than noise."""
 
 from __future__ import annotations
 

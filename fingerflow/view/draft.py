@@ -51,7 +51,7 @@ class Draft:
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """Return the draft of a scene beside a recording, with two views side by side; keys to fill in are absent."""
+        """Return the draft of a new scene for a recording, with two views side by side; keys to fill in are absent."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")

@@ -1,4 +1,4 @@
-"""Reduction of images to means over square cells, and interpolation between cells.
+"""Reduce images to means over square cells, and interpolate between cells.
 
 Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
 """

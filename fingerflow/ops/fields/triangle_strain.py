@@ -1,4 +1,4 @@
-"""Strain of triangles between tracked points, and strain energy of the triangles in contact."""
+"""Compute the strain of triangles between tracked points, and the strain energy of triangles in contact."""
 
 from typing import NamedTuple
 

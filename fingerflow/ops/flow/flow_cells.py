@@ -1,4 +1,4 @@
-"""Conversion of dense-flow fields between pixels and cells of 2 x 2 px, and computations on cells.
+"""Convert dense-flow fields between pixels and cells of 2 x 2 px, and compute on cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and

@@ -176,7 +176,7 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return a corner response above all noise: one that no window of pure white noise of variance 1 reaches.
+    """Return a corner response that no window of pure white noise of variance 1 reaches.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15

@@ -341,7 +341,7 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 
 def possible_rate(rate: float) -> bool:
-    """Return whether a frame rate in Hz is possible: finite, positive, and such that frame times differ."""
+    """Return whether a frame rate in Hz is possible: finite, positive, and with distinct frame times."""
     return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
 
 

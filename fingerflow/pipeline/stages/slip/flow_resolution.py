@@ -64,7 +64,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of dense flow along an axis, on a frame displaced by a known amount.
+    """Return the mean error (K,) px of dense flow at K distances from a border, for a frame displaced by known amounts.
 
     `distances` (K,) px are beyond the border.
     """
