@@ -180,6 +180,6 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Convert indices of sampled cells (every `_STEP`-th one) to px coordinates of the cell centres along an axis."""
+    """Return the px coordinate of the cell centre for each index of a sampled cell (every `_STEP`-th) along an axis."""
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result
