@@ -51,8 +51,8 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
     """Interpolate values of known cells bilinearly to cells of half the size, or to pixels.
 
-    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16, 3/16,
-    3/16 and 1/16. The result is 0 where none of them is known.
+    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16,
+    3/16, 3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
