@@ -105,8 +105,8 @@ class SlipFlag:
             noise = _RAISED * math.sqrt(float(some @ some) / len(some))
         self._held &= bool(covered.any())
         # Too few points in contact neither raise the flag nor withdraw it. Comparisons with NaN are false.
-        unknown = self._held or (math.isnan(residual) and covered.any())
-        stays = unknown or bool(max(ahead, residual) > noise)
+        unknown = self._held or (math.isnan(residual) and bool(covered.any()))
+        stays = unknown or max(ahead, residual) > noise
         above = stays if self.slipping else ahead > max(noise, spread)
         self._run = self._run + 1 if above != self.slipping else 0
         if self._run >= _FRAMES:
