@@ -15,7 +15,7 @@ from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
 from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
-from fingerflow.ops.tensors import finite, products, sum_rows, symmetric
+from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
 
 _FAR = 1e3  # radii: coordinate of excluded points, far from all positions
 _TINY = 1e-30
@@ -180,7 +180,7 @@ def _medians(
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
     places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
-    along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
+    along, across = (axes / radius * constant_like(_LATTICE, displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
     fit = fit_planes(places, displacement, positions, usable, radius)
     xx, xy, yx, yy = fit.gradient.split(1, dim=1)

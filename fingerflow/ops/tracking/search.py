@@ -9,8 +9,9 @@ from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
+from fingerflow.ops.pieces import points_at_once
 
-_CHUNK = 128  # points per pass, which bounds the memory of the transforms
+_CHUNK = 128  # points per pass, so that the transforms stay in the cache
 _FAR = 2.0**30  # px: outside every image, and an integer
 
 
@@ -54,9 +55,10 @@ def search_windows(
         return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
     if not len(points):
         return guess.clone()
+    at_once = points_at_once(points, _CHUNK)
     found = [
         _search_coarse(coarse_templates, coarse_images, *part, size, reach)
-        for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
+        for part in zip(image_index.split(at_once), points.split(at_once), guess.split(at_once), strict=True)
     ]
     return torch.cat(found)
 
