@@ -30,7 +30,7 @@ _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larg
 
 @dataclass(frozen=True)
 class BesideChain:
-    """Measured press at T known forces, beside predictions (K, T) of the skin chain for K friction coefficients.
+    """Measured press at T known forces, with predictions (K, T) of the skin chain for K friction coefficients.
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
