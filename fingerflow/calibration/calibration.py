@@ -17,8 +17,9 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target. All
-    pixels are those of a view, (x, y), integers at pixel centres.
+    """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target.
+
+    Positions are (x, y) in px of a view; integers are pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
     `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
@@ -61,7 +62,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration stored in a calibration file, which holds the text of `to_toml`.
+        """Read a calibration from a calibration file, which has the format that `to_toml` returns.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """

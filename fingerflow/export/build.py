@@ -119,7 +119,7 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 
 
 def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the callable, inputs and outputs of each graph of the contact view."""
+    """Return, by graph name, the function and the input and output names of each graph of the contact view."""
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -136,7 +136,7 @@ def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the callable, inputs and outputs of each graph of tracked points in the topography view."""
+    """Return, by graph name, the function and the input and output names of each graph of tracked points."""
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -205,7 +205,9 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_fields(recipe: Recipe) -> _Described:
-    """Return the callable, inputs and outputs of each graph that computes fields from displacements on the glass."""
+    """Return, by graph name, the function and the input and output names of each graph that computes deformation
+    fields.
+    """
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -226,5 +228,5 @@ def _of_fields(recipe: Recipe) -> _Described:
 
 
 def _all_of(templates: Templates) -> tuple[Tensor, ...]:
-    """Return all tensors of `Templates` as a tuple, without None."""
+    """Return the tensors of `Templates` as a tuple, without optional fields that are None."""
     return tuple(one for one in templates if one is not None)

@@ -62,7 +62,7 @@ class GraphCall(NamedTuple):
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for one recording of a batch, with one row of each batched tensor.
+        """Return the call for recording number `place` of a batch, with that row of each batched tensor.
 
         Tensors (1, ...) serve all recordings.
         """

@@ -109,7 +109,7 @@ class OnnxRuntime:
 
 
 class _Executed:
-    """Wrapper of a torch module, with the same attributes, that executes methods by ONNX Runtime."""
+    """Wrapper of a torch module with the same attributes, whose methods ONNX Runtime executes."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
         self._module, self._runtime = module, runtime
@@ -175,7 +175,7 @@ def _room(points: int) -> int:
 
 
 class _Leaves(nn.Module):
-    """Torch module that wraps a method for ONNX export: takes tensors by position, and returns a tuple of tensors."""
+    """Torch module that wraps a method for ONNX export: it takes tensors by position and returns a tuple of tensors."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
@@ -183,7 +183,7 @@ class _Leaves(nn.Module):
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
 
     def result(self, *tensors: Tensor) -> Any:
-        """Call the wrapped method and return the result as it is, not flattened to a tuple."""
+        """Call the wrapped method and return its original result, not flattened to a tuple."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
@@ -202,7 +202,7 @@ def _own_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return whether a path is a folder, no link, of this user, that no other user may write to."""
+    """Return whether a path is a folder of this user, not a link, to which no other user may write."""
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return False

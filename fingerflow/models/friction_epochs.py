@@ -32,7 +32,11 @@ class FrictionEpochs:
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return median and interquartile range of the sliding epochs' medians, and their number, in each of A bins."""
+        """Return median and interquartile range of friction over the sliding epochs, and the number of epochs, each
+        (A,).
+
+        There is one value for each of A bins of vibration amplitude; an epoch counts with its median in the bin.
+        """
         return _summary(self.median)
 
 
@@ -47,7 +51,8 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Compute the friction coefficient |T| / N of every sliding epoch in bins of vibration amplitude.
+    """Compute the friction coefficient (tangential over normal force) of each sliding epoch, in bins of vibration
+    amplitude.
 
     The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
     from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
@@ -101,7 +106,9 @@ def friction_epochs(
 def _rises(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sinusoid to a vibration amplitude; return the times (s) of its minima, and its relative |da/dt| (T,)."""
+    """Fit a sinusoid to a vibration amplitude a; return the times (s) of its minima, and |da/dt| (T,) over its
+    maximum.
+    """
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -141,7 +148,10 @@ def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def _checked(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Check a tribometer trace, and return time, |T| / N, position and vibration amplitude as float64."""
+    """Check a tribometer trace, and return time, friction ratio, position and vibration amplitude as float64.
+
+    The friction ratio is tangential over normal force; NaN where the normal force is not positive.
+    """
     if time.ndim != 1 or len(time) < 3:
         raise ValueError(f"time is {tuple(time.shape)}: give (T,), three samples or more")
     for name, signal in signals.items():

@@ -77,7 +77,7 @@ def stress(
 
 
 class _Kernels(NamedTuple):
-    """Integrals of four stress kernels over each of M load strips, (..., points, M)."""
+    """Integrals (..., points, M) of four stress kernels over each of M load strips."""
 
     z_rr: Tensor  # of 2 z r^2 / R^4
     zzz: Tensor  # of 2 z^3 / R^4

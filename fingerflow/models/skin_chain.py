@@ -102,7 +102,7 @@ def press(
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
 ) -> PressedChain:
-    """Press a skin chain on the plate with a sudden load until all forces balance, to 2e-7 of the load.
+    """Press a skin chain on the plate with a sudden load, until the unbalanced forces are below 2e-7 of the load.
 
     With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. There is no
     gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
@@ -174,7 +174,7 @@ def follow(
 
 
 def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the skin chains of all parameter sets, and their undeformed initial state."""
+    """Return the skin chains of all parameter sets, and their initial, undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]
@@ -258,7 +258,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """Return the share (..., N - 1) of each link between neighbouring elements that lies on the plate.
+    """Return the fraction (..., N - 1) of each link between neighbouring elements that lies on the plate.
 
     Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
     length has no jumps.

@@ -83,7 +83,7 @@ def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _late(x: Tensor) -> Tensor:
-    """Return the weight at the end of a time step: (x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
+    """Return the weight of the end of a time step, (x - 1 + exp(-x)) / x, by the series x / 2! - x^2 / 3! + ..."""
     total = torch.zeros_like(x)
     for k in range(14, 0, -1):
         total = x * (1 / math.factorial(k + 1) - total)

@@ -84,7 +84,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache key of each planned stage, by the class of the stage (`Stage.place`).
+    """Return the cache key of each planned stage, by the class that `Stage.place` returns for the stage.
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -158,7 +158,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _why_not(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return the reason why the earlier results of a stage cannot be reused, or "" for reusable results."""
+    """Return the reason why a stage must be computed instead of reused from the earlier result; "" for reuse."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
@@ -182,7 +182,10 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield (dotted key, value) of a scene key or of all keys of a table, with a digest in place of a file."""
+    """Yield the dotted name and the value of a scene key, or of each key in a table.
+
+    For a key that names a file, the value is a digest of the file's content.
+    """
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return

@@ -279,7 +279,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
     *early, last = stages
 
     def begin(indices: np.ndarray) -> Steps[Batch]:
-        """Read one batch of frames and run every stage on it except the last stage.
+        """Read one batch of frames and run all stages but the last one on this batch.
 
         The last stage may still process the batch before.
         """

@@ -58,8 +58,9 @@ class PatientFile:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write all buffered bytes to the file. After a period with a full disk, return once how long it lasted;
-        otherwise None.
+        """Write all buffered bytes to the file.
+
+        The first success after a full disk returns the `Refusal` that it ends; otherwise None is returned.
 
         Args:
             wait: wait for room where there is none.
@@ -92,7 +93,7 @@ class PatientFile:
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raise a write error, unless the disk has been full for less than half a minute."""
+        """Raise a write error, unless the cause is a disk that has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

@@ -201,7 +201,7 @@ class _Check:
                 self._fits_the_views(rule)
 
     def _blame(self, key: str, said: str) -> None:
-        """Record that a key conflicts with other keys, quoting the value of the key as written in the scene file."""
+        """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None

@@ -26,8 +26,7 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """Synthetic press whose skin moves as a skin chain turned about its axis, under a force that rises and is then
-    held.
+    """Synthetic press whose skin moves as a skin chain rotated about its axis; the force rises, then stays constant.
 
     Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
     persists. Settings that all scenes share are those of `SyntheticScene`.
@@ -162,12 +161,12 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients of values on a grid, extended by one at each mirrored end."""
+    """Return cubic spline coefficients of values on a grid, padded by one mirrored coefficient at each end."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients, and four weights, at a position (0 to 1) on a grid."""
+    """Return the index of the first of four spline coefficients, and their weights, at a position 0 to 1 on a grid."""
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]

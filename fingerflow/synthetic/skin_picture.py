@@ -94,7 +94,7 @@ class PictureTexture:
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, from the edge of a touching ridge, positive inside; ``share`` is ignored."""
+        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
@@ -178,13 +178,13 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _fading(count: int, period: float) -> Plane:
-    """Return weights for a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
+    """Return weights (count,) for a row of pixels, which rise from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return at each pixel the brightest grey level within one ridge distance: that of glass or of a valley."""
+    """Return for each pixel the brightest grey level within one ridge distance, which shows glass or a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 

@@ -34,7 +34,7 @@ _LOGIT = 15.0  # rates of 1e-7
 
 @dataclass(frozen=True)
 class PsychometricFit:
-    """Fitted psychometric curve with intervals (`fit_psychometric`); NaN where the data do not determine a number.
+    """Psychometric curve fitted by `fit_psychometric`, with intervals; NaN for parameters that the data leave open.
 
     Attributes:
         threshold: the stimulus at which the share of answers is `share`; its `interval` at `level` contains it, and a
@@ -196,7 +196,7 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return start parameters with various slopes, and either a common middle or a common threshold."""
+        """Return start parameters for a fit, with several slopes, and either one middle or one threshold for all."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -207,7 +207,7 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Return the threshold fitted to some blocks of answers, in data units, by a search from given parameters."""
+        """Return the threshold, in data units, fitted to the `chosen` blocks of answers, with a search from `near`."""
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]

@@ -17,7 +17,9 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correlation:
-    """Correlation coefficient with interval and two-sided p; `trials` pairs were used, `missing` pairs lack a value.
+    """Correlation coefficient of pairs of values, with interval and two-sided p-value.
+
+    `trials` pairs were used; `missing` pairs lack a value.
 
     `participants` is 0 where pairs count as independent.
     """
@@ -101,7 +103,10 @@ def _correlation(
 
 
 def _of_the_rest(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
-    """Return Fisher's z of the correlation without the pairs of one participant; NaN if it is undefined."""
+    """Return Fisher's z of the correlation of the pairs in the mask `rest`, which leaves out one participant.
+
+    It is NaN if the correlation is undefined.
+    """
     if rest.sum() < 2 or min(np.ptp(x[rest]), np.ptp(y[rest])) == 0:
         return math.nan
     return _fisher(float(kind(x[rest], y[rest]).statistic))

@@ -51,7 +51,7 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Return distances (K,) mm of a square window's pixels from its centre along the normal of a border.
+    """Return the distances (K,) mm of a square window's pixels from its centre, along the normal of a border.
 
     They are pooled over several directions of the border.
 
@@ -63,13 +63,16 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return the window mean of a displacement x^p beyond a border, at window distances (K,) mm (negative inside)."""
+    """Return the mean over windows, at distances (K,) mm from a border, of a displacement x^p at x mm beyond it.
+
+    A distance is negative on the side that sticks.
+    """
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 
 
 def border_level(width: Values, growth: float, seen: Seen) -> Values:
-    """Return the displacement (K,), mm, measured at a stick border beside a slipping annulus (K,) mm wide."""
+    """Return the displacement (K,), mm, measured at a stick border inside a slipping annulus (K,) mm wide."""
     return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 

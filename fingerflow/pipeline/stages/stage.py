@@ -108,7 +108,7 @@ class Stage:
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """Return, as a JSON value, what the results of the stage depend on in the plan, besides settings."""
+        """Return, as a JSON value, what in the plan besides settings affects the results of the stage."""
         return None
 
     @property

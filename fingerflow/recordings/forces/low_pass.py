@@ -75,8 +75,7 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
 def _alike(
     times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Group frames that can share one filter kernel, because the sample times relative to each frame are equal
-    (polyphase).
+    """Group frames that can share one filter kernel, as their sample times relative to the frame are equal (polyphase).
 
     At 10 kHz and 300 frames/s there are three such groups, and some single frames near the ends.
     """
@@ -97,7 +96,7 @@ def _alike(
 
 
 def _stretches(times: Samples) -> Samples:
-    """Return the stretch of time in s that each sample represents, between the midpoints to the neighbouring samples.
+    """Return the duration in s that each sample represents, from midpoint to midpoint between neighbouring samples.
 
     A gap ends the record as its ends do, so no sample represents more than twice the median step.
     """
@@ -127,7 +126,7 @@ _WINDOW = _window_polynomial()
 
 
 def _over_angle(sine: Samples, angle: Samples) -> Samples:
-    """Return sin(x) / x (sinc), given `sine` and `angle` x, with accurate values also near x = 0."""
+    """Return sin(x) / x, given `sine` = sin(x) and `angle` = x; it is accurate also near x = 0."""
     near = np.abs(angle) < _NEAR
     quotient = sine / np.where(near, 1.0, angle)
     quotient[near] = np.sinc(angle[near] / np.pi)

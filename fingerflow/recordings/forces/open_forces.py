@@ -151,7 +151,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 def _wanted(
     table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
-    """Return a mapping from the name of each selected channel to the name of a file column.
+    """Return the file column of each selected force channel, as a mapping from channel name to column name.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """

@@ -95,7 +95,10 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return a mask of frames for which the file lacks a chunk; file and data set must have been checked before."""
+    """Return a mask of the frames of which the file lacks a chunk.
+
+    File and data set must have been checked before.
+    """
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

@@ -145,14 +145,14 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and all frames that may be decoded from it."""
+        """Mark a frame as unreadable, and with it all frames that may be decoded from this frame."""
         self._unreadable.setdefault(number, reason)
         for other in self._made_from(number):
             self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
             self._cache.pop(other, None)
 
     def _made_from(self, number: int) -> range:
-        """Return the frames that may be decoded from a given frame: all undelivered ones up to the next key frame.
+        """Return the frames that may depend on a given frame: those not yet delivered, up to the next key frame.
 
         Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
         """
@@ -172,7 +172,9 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Yield (number, decoded frame) from key frame `key` on, without frames that are shown before frame `key`."""
+        """Yield number and image of each decoded frame from key frame `key` on, without frames that are shown before
+        it.
+        """
         count = 0
         packets = self._container.demux(stream)
         while True:

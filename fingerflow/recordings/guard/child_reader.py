@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Read a file by `through` with limits of time and memory; return the content, or an error text ("" if sound)."""
+    """Run the reader `through` on a file with limits of time and memory; return its result, or an error text."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)

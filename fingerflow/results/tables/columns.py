@@ -70,7 +70,7 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
 
 
 def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Yield all variables (or those named in `variables`) that have one of the given tuples of dimensions."""
+    """Yield the variables whose dimensions are one of the tuples `dims`: those named in `variables`, or all if None."""
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -90,7 +90,7 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return a mapping from column name with unit to values, one column per component of a variable."""
+    """Return the columns of a variable, one per component: a mapping from name with unit to values."""
     units = values.attrs["units"]
     if values.dims[-1] not in LABELS:
         return {f"{values.name} ({units})": values.values}

@@ -114,7 +114,10 @@ def _gauge_mm(result: xr.Dataset) -> float:
 def _of_points(
     points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """Interpolate a variable of points to the grid positions in one frame, as (H, W, C)."""
+    """Interpolate a variable of points to the grid positions (H, W, 2) of one frame, as (H, W, C).
+
+    The result is NaN farther than `reach` from all points.
+    """
     found = np.full((*places.shape[:2], values.shape[1]), np.nan)
     usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
     if usable.sum() < 3:

@@ -236,7 +236,8 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of each displacement component that results from image noise.
+        """Return the variance (n, N) px^2 of displacement components due to image noise, given the variance `now` of
+        positions.
 
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself.
@@ -297,12 +298,12 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return the positions (..., N, 2) mm of N points, each in its own frame (`frames`, -1 for the last frame)."""
+        """Return the positions (..., N, 2) mm of N points, each in its own frame of `frames`; -1 is the last frame."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Positions of all points in the common reference frame; NaN for points not tracked in that frame."""
+    """Positions of all points in the common reference frame of displacement; NaN for points not tracked in it."""
 
     place: Points  # (N, 2) mm
     place_px: Points

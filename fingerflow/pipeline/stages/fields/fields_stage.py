@@ -88,7 +88,7 @@ class FieldsStage(Stage):
         )
 
     def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return displacement gradients, and covariances, at points that were advected (entered) into the contact."""
+        """Return displacement gradients and covariances since entry, of points that were advected into the contact."""
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)

@@ -50,7 +50,9 @@ class MedianBias:
     def look(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """Add n frames to the estimate: `found` are the fields of points, `entered` (n, N) marks advected points."""
+        """Add the fields `found` of points in n frames to the estimate; the mask `entered` (n, N) marks advected
+        points.
+        """
         assert found.median is not None
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
@@ -77,7 +79,8 @@ class MedianBias:
         self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
     def square(self) -> NDArray[np.float64]:
-        """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, position errors excluded.
+        """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, without the part due to
+        position errors.
 
         Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
         NaN if there is none.
@@ -92,7 +95,9 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of the medians in n frames that results from their uncertain rank.
+    """Return the variance (n, 5) of medians in n frames that results from skin in contact whose values are unknown.
+
+    Such skin makes the rank of the median uncertain.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.
@@ -114,7 +119,7 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
     def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the square of half the difference between values `reach` (k, 1) ranks above and below the median."""
+        """Return the squared half difference of the values that lie `reach` (k, 1) ranks above and below the median."""
         low, high = (
             ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)

@@ -1,4 +1,4 @@
-"""Contact region of a soft sensor, from changes of light on the gel and displacements of the markers."""
+"""Contact region of a soft sensor, from brightness changes of the gel and displacements of the markers."""
 
 import math
 
@@ -31,8 +31,8 @@ _LEAST_AREA = 0.25  # square spacings
 
 
 class MarkerContactStage(ContactStage):
-    """Stage that finds the gross contact of a soft sensor as the largest connected region of changed light or
-    displacement.
+    """Stage that finds the gross contact of a soft sensor: the largest region in which brightness changed or the gel
+    moved.
 
     Light becomes brighter or darker where the gel's surface is tilted; both count. The threshold is that of Otsu (1979)
     in the sampled frame with the largest change. Where a flat or soft object tilts nothing, the contact is the region
@@ -60,7 +60,7 @@ class MarkerContactStage(ContactStage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def begin_as(self, other: "MarkerContactStage") -> None:
-        """Begin with the rest image and the light threshold of another stage that processed this recording."""
+        """Begin with the rest image and brightness threshold that another stage measured in the same recording."""
         self._follow()
         self._rest, self._least_change = other._rest, other._least_change
 
@@ -120,7 +120,8 @@ class MarkerContactStage(ContactStage):
         return max(threshold, _LEAST_CHANGE)
 
     def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """Return the change of light (n, 1, h, w) in cells since rest, measured beside the markers.
+        """Return the brightness change (n, 1, h, w) of each cell since the gel was at rest, from pixels between the
+        markers.
 
         It is 0 in cells that show nothing but markers.
         """

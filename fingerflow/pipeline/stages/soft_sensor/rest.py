@@ -61,14 +61,16 @@ def _spacing(frames: list[Points]) -> float:
 
 
 def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
-    """Return whether two frames show one state of the gel: most markers at equal positions, counts within 5 %."""
+    """Return whether two frames show the gel in one state: marker counts within 5 %, most at equal positions."""
     if tree is None or not len(points) or abs(len(points) - tree.n) > (1 - _MOST_OFF) * max(len(points), tree.n):
         return False
     return bool(np.mean(tree.query(points)[0] < _STILL * spacing) >= _MOST_OFF)
 
 
 def _unevenness(points: Points, spacing: float) -> float:
-    """Return how irregular a marker lattice is: mean distance, px, of markers from the centroid of four neighbours."""
+    """Return how irregular a marker lattice is: mean distance, px, of markers from the centroid of their four
+    neighbours.
+    """
     if len(points) < 5:
         return 0.0
     number = cKDTree(points).query(points, k=5)[1][:, 1:]

@@ -23,7 +23,9 @@ _SAME = 0.4  # spacings within which inferred rest positions belong to one marke
 
 
 class Seen(NamedTuple):
-    """Markers detected in one frame: positions px, covariances px^2, and position differences between two scales px."""
+    """Markers detected in one frame: positions (px), covariances (px^2), and differences of positions at two scales
+    (px).
+    """
 
     points: Tensor
     covariance: Tensor
@@ -133,7 +135,7 @@ class MarkerStage(Stage):
         self._seen.clear()
 
     def _follow(self, reference: Tensor, ties: Ties) -> Tensor:
-        """Return for each frame the indices (frames, N) of N markers among the detected ones; -1 if not detected."""
+        """Return the index (frames, N) of each of N markers among the detections of each frame; -1 if not detected."""
         numbers = torch.full((len(self._seen), len(reference)), -1)
         for frames in (range(self.rest_frame, len(self._seen)), range(self.rest_frame, -1, -1)):
             moved = torch.zeros_like(reference)
@@ -149,7 +151,9 @@ class MarkerStage(Stage):
         return numbers
 
     def _that_come_in(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """Return inferred rest positions (K, 2) px of markers outside the view that enter the view in later frames."""
+        """Infer the rest positions (K, 2) px of markers that lie outside the view at rest, but enter it in other
+        frames.
+        """
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
             mine = number[number >= 0]
@@ -189,7 +193,7 @@ class MarkerStage(Stage):
         self.points, self.covariance, self.status = points.numpy(), covariance.numpy(), status.numpy()
 
     def _cut(self, points: Tensor) -> Tensor:
-        """Return a mask (N,) of markers that the border of the view cuts, given marker positions."""
+        """Return a mask (N,) of the markers at `points` (N, 2) px that the border of the view cuts off."""
         height, width = self._view.shape
         size = torch.tensor([width - 1.0, height - 1.0], dtype=points.dtype)
         return torch.minimum(points, size - points).amin(-1) < self.look.radius
@@ -223,7 +227,7 @@ def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
 
 
 def _torn(moved: Tensor, ties: Ties) -> Tensor:
-    """Return a mask (N,) of markers whose displacement differs from most neighbours more than a gel can stretch."""
+    """Return a mask (N,) of markers whose displacement differs from most neighbours by more than a gel can stretch."""
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

@@ -71,7 +71,9 @@ class SensorSlipStage(Stage):
         )
 
     def _departed(self, reference: torch.Tensor, moved: Array) -> float:
-        """Return the share of markers whose displacement (N, 2) mm departs from the rigid motion of the majority."""
+        """Return the share of markers whose displacement (N, 2) mm differs from the rigid motion that fits the
+        majority.
+        """
         known = np.isfinite(moved).all(-1)
         if known.sum() < _FEWEST:
             return float("nan")

@@ -1,4 +1,4 @@
-"""Detection of skin in contact that has no tracked points, since the skin lay outside the seeding region.
+"""Detection of skin in contact that has no tracked points, because it lay outside the region of seeding.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of cells in contact (now or soon) without a point (N, 2) within `far` px.
+        """Return a flat mask of cells, in contact now or soon, that may have no point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -149,7 +149,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return a mask (K,) of positions (K, 2) px whose skin was outside the region in which points were seeded."""
+        """Return a mask (K,) of positions (K, 2) px whose skin lay outside the seeding region of the nearest point."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -180,6 +180,9 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Return the px coordinate of the cell centre for each index of a sampled cell (every `_STEP`-th) along an axis."""
+    """Return the px coordinate of the cell centre for each index of a sampled cell along an axis.
+
+    Every `_STEP`-th cell is sampled.
+    """
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

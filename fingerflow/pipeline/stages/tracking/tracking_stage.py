@@ -113,7 +113,9 @@ class TrackingStage(Stage):
                 self._pass_over(indices)
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Skip unusable frames, for which the expected position of each point is extrapolated at the last speed."""
+        """Mark frames as unusable, and extrapolate the expected position of each point over these frames at its last
+        speed.
+        """
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -187,8 +189,9 @@ class TrackingStage(Stage):
         return self._add(image, points, np.zeros(0, np.intp))
 
     def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
-        """Register newly seeded points, guided by earlier points with indices `numbers`; return the tracking results
-        (1, N).
+        """Start to track newly seeded points (N, 2) px, and return their tracking results (1, N) in this frame.
+
+        `numbers` are the indices of earlier points near the new ones.
 
         `more` are the positions of the earlier points, and the motion of the new ones.
         """
@@ -201,7 +204,11 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w); return them or None. `found` (1, N) has earlier points."""
+        """Seed points in new skin of an image (1, 1, h, w), and return their tracking results (1, K); None without new
+        skin.
+
+        `found` (1, N) are the tracking results of the earlier points.
+        """
         if self._full:
             return None
         assert self._new_skin is not None
@@ -283,7 +290,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Extend results (1, N) of points seeded in a batch's last frame to the whole batch; NaN before that frame."""
+    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
