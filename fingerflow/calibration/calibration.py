@@ -43,7 +43,7 @@ class Calibration:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
-            f"mm_per_px = {_written(self.mm_per_px)}",
+            f"mm_per_px = {_toml_number(self.mm_per_px)}",
             f"warnings = {toml_value(self.warnings)}",
         ]
         for name, view in self.views.items():
@@ -92,13 +92,13 @@ def is_calibration(path: Path) -> bool:
 
 
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
-    return ["", title, *(f"{name} = {_written(value)}" for name, value in values.items())]
+    return ["", title, *(f"{name} = {_toml_number(value)}" for name, value in values.items())]
 
 
-def _written(value: Any) -> str:
+def _toml_number(value: Any) -> str:
     """Format a number (Python or NumPy), or a list of numbers, as TOML at full precision."""
     if isinstance(value, (tuple, list)):
-        return f"[{', '.join(map(_written, value))}]"
+        return f"[{', '.join(map(_toml_number, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
 
 

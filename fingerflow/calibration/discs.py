@@ -64,7 +64,7 @@ def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii:
     found: list[Disc] = []
     for center, radius in _candidates(image, smallest, largest):
         disc = fit_disc(image, center, radius)
-        if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_there(empty, disc):
+        if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_in_background(empty, disc):
             found.append(disc)
     found.sort(key=lambda disc: -disc.significance)
     separate: list[Disc] = []
@@ -92,7 +92,7 @@ def _is_disc(disc: Disc) -> bool:
     )
 
 
-def _is_there(background: Array | None, disc: Disc) -> bool:
+def _is_in_background(background: Array | None, disc: Disc) -> bool:
     """Return whether the image `background` shows a disc of the same position and size; False without a background."""
     if background is None:
         return False
@@ -124,7 +124,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
             if smallest <= radius * reduction * 2**0.25 and radius * reduction <= largest
         ]
         if radii:
-            votes += _votes_of_octave(levels, reduction, radii)
+            votes += _hough_circles(levels, reduction, radii)
         reduction *= 2
     # Chance agreement does not depend on the radius, but texture agrees mostly with small circles.
     votes.sort(key=lambda vote: -vote[0] * np.sqrt(vote[3]))
@@ -140,7 +140,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
     return best
 
 
-def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
+def _hough_circles(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
     """Return circles (agreement, x, y, radius) that agree with the brightness gradients of a reduced image.
 
     They are found by a Hough transform, and x, y and radius are in px of the image before reduction.

@@ -81,7 +81,7 @@ class GraphCall(NamedTuple):
         return arguments
 
 
-def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
+def pad_points(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
     """Pad tensors along the axis of points to `room` points, with NaN or, for integers, with 0."""
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):

@@ -70,7 +70,7 @@ def friction_epochs(
             that frequency, fewer than 8 samples per half period, or normal forces that are nowhere positive.
     """
     signals = {"normal": normal, "tangential": tangential, "position": position, "amplitude": amplitude}
-    at, ratio, place, height = _checked(time, signals, edges)
+    at, ratio, place, height = _check_trace(time, signals, edges)
     step = float(at[-1] - at[0]) / (len(at) - 1)
     half = 0.5 / modulation_hz
     if half < _LEAST_SAMPLES * step:
@@ -81,7 +81,7 @@ def friction_epochs(
     width = max(1, min(round(half / step / _PARTS / 2), (len(at) - 1) // 2))
     sliding = savgol_filter(place, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
     first, last = [], []
-    rises, speed = _rises(at, height, modulation_hz)
+    rises, speed = _fit_modulation(at, height, modulation_hz)
     for begin in rises:
         start, stop = np.searchsorted(at, (begin - 1e-6 * half, begin + half * (1 + 1e-6)))
         if begin >= at[0] - step / 2 and begin + half <= at[-1] + step / 2 and sliding[start:stop].all():
@@ -96,14 +96,14 @@ def friction_epochs(
         for start, stop in zip(first, last, strict=True)
     ]
     shape = (len(first), len(edges) - 1)
-    quartiles = [[_quartiles(ratio[some], speed[some]) for some in row] for row in kept]
+    quartiles = [[_median_and_iqr(ratio[some], speed[some]) for some in row] for row in kept]
     of = torch.tensor(quartiles, dtype=torch.float64).reshape(*shape, 2)
     count = torch.tensor([[len(some) for some in row] for row in kept], dtype=torch.int64).reshape(shape)
     begins, ends = (torch.tensor(list(map(int, indices)), dtype=torch.int64) for indices in (first, last))
     return FrictionEpochs(begins, ends, edges, of[..., 0], of[..., 1], count)
 
 
-def _rises(
+def _fit_modulation(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a sinusoid to a vibration amplitude a; return the times (s) of its minima, and |da/dt| (T,) over its
@@ -124,7 +124,7 @@ def _rises(
     return time[0] + (lowest / (2 * np.pi) + periods) / frequency, np.abs(np.sin(phase - lowest))
 
 
-def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
+def _median_and_iqr(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
     """Return the weighted median and interquartile range of values; NaN if all weights are 0.
 
     A value stands at the middle of its weight in the distribution; between values the quantile is linear.
@@ -140,12 +140,12 @@ def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tup
 
 def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     columns = [column[np.isfinite(column)] for column in values.T.numpy()]
-    rows = [_quartiles(column, np.ones(len(column))) for column in columns]
+    rows = [_median_and_iqr(column, np.ones(len(column))) for column in columns]
     of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
     return of[:, 0], of[:, 1], values.isfinite().sum(0)
 
 
-def _checked(
+def _check_trace(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Check a tribometer trace, and return time, friction ratio, position and vibration amplitude as float64.

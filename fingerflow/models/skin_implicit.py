@@ -78,7 +78,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
         left = duration - time
         step = left if state.step > 0.99 * left else state.step
         error = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
-        growth = _growth(error)
+        growth = _step_factor(error)
         if growth < 1 or step == state.step:  # a last step cut short says nothing about longer ones
             state.step = step * growth
         if error <= 1:
@@ -95,7 +95,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
     return time
 
 
-def _growth(error: float) -> float:
+def _step_factor(error: float) -> float:
     """Return the factor for the next time step, given the error of the last step relative to the tolerance.
 
     It is a power of 2^(1/4), from 2^(-7/4) to 2.

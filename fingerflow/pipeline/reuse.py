@@ -76,7 +76,7 @@ class Reused(NamedTuple):
         stage.restore(self.earlier)
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 
-    def said(self) -> str:
+    def as_json(self) -> str:
         """Return as JSON which stages were reused, and why each other stage was computed."""
         names = sorted(stage.name for stage in self.stages)
         computed = {stage.name: why for stage, why in self.computed.items()}
@@ -141,7 +141,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
         place = stage.place()
-        why = whole or _why_not(stage, plan, keys[place], known.get(stage.name), computed)
+        why = whole or _reason_to_compute(stage, plan, keys[place], known.get(stage.name), computed)
         if why:
             computed[place] = why
     # A stage that runs needs the steps of stages beside it, and stages after which it comes unless `restored`.
@@ -155,7 +155,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     return Reused(earlier, path, taken, computed)
 
 
-def _why_not(
+def _reason_to_compute(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
     """Return the reason why a stage must be computed instead of reused from the earlier result; "" for reuse."""

@@ -79,7 +79,7 @@ class PatientFile:
                         del self._kept[: os.write(self._file, self._kept)]
                     return self._recover()
                 except OSError as error:
-                    self._bear(error)
+                    self._raise_or_wait(error)
                     if not must_wait:
                         return None
             time.sleep(_AGAIN)  # without the lock: other threads go on writing
@@ -92,7 +92,7 @@ class PatientFile:
         """Close the file. Data that `flush` could not write are lost."""
         os.close(self._file)
 
-    def _bear(self, error: OSError) -> None:
+    def _raise_or_wait(self, error: OSError) -> None:
         """Raise a write error, unless the cause is a disk that has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error

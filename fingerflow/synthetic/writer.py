@@ -132,12 +132,12 @@ def _scene_file(scene: SyntheticScene) -> str:
         topography=scene.views["topography"],
         forces="forces.csv",
         calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
-        region=_region(scene),
+        region=_region_of_skin(scene),
         slip=isinstance(scene, PartialSlip),
     )
 
 
-def _region(scene: SyntheticScene) -> View | None:
+def _region_of_skin(scene: SyntheticScene) -> View | None:
     """Return the rectangle of the topography view that contains, in frame 0, all skin that touches the glass later."""
     truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):

@@ -164,14 +164,14 @@ class _Posterior:
         if not guess < self.share < 1 - lapse:
             return 1e10
         prior = _log_beta(lapse, *_RATE_PRIOR) + (_log_beta(guess, *_RATE_PRIOR) if self.fixed is None else 0.0)
-        return -float(logsumexp(self._over_spreads(values)) + prior)
+        return -float(logsumexp(self._log_likelihoods(values)) + prior)
 
     def overdispersion(self, values: Values) -> float:
         """Return the posterior mean of the overdispersion for given parameters of the curve."""
-        log = self._over_spreads(values)
+        log = self._log_likelihoods(values)
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
-    def _over_spreads(self, values: Values) -> Values:
+    def _log_likelihoods(self, values: Values) -> Values:
         """Return the log likelihood of the answers at each overdispersion of the grid `_SPREADS`."""
         expected = self._expected(values)
         # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.

@@ -97,12 +97,12 @@ def _correlation(
         return Correlation(value, interval, float(found.pvalue), level, pairs, missing)
     who = np.asarray(participants).reshape(-1)[both]
     names = np.unique(who)
-    without = [_of_the_rest(x, y, who != name, kind) for name in names]
+    without = [_fisher_z_without_one(x, y, who != name, kind) for name in names]
     (low, high), p, reason = jackknifed(middle, without, level)
     return Correlation(value, (math.tanh(low), math.tanh(high)), p, level, pairs, missing, reason, len(without))
 
 
-def _of_the_rest(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
+def _fisher_z_without_one(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
     """Return Fisher's z of the correlation of the pairs in the mask `rest`, which leaves out one participant.
 
     It is NaN if the correlation is undefined.

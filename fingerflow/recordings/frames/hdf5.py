@@ -54,7 +54,7 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     dtype = grey_dtype(frames.dtype, path)
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
-    lacking = _lacking(path, frames)
+    lacking = _incomplete_frames(path, frames)
     count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last complete frame
     description = Description(
         path=path,
@@ -94,7 +94,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     )
 
 
-def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _incomplete_frames(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Return a mask of the frames of which the file lacks a chunk.
 
     File and data set must have been checked before.

@@ -36,7 +36,7 @@ def check_in_child_process(path: Path, kind: str) -> None:
     _answer_about(path, kind)
 
 
-def read_matlab_apart(path: Path) -> dict[str, Any]:
+def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
     """Read a MATLAB file in a child process, and return the content.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as

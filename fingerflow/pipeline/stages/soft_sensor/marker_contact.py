@@ -74,8 +74,8 @@ class MarkerContactStage(ContactStage):
         """Find the contact region in a batch of frames, store it, and return it as masks (n, h, w) of cells."""
         assert batch.frames is not None
         view = self.inputs.view(batch.frames, self._view)
-        change = self._change(view, batch.indices)
-        moved = np.stack([self._moved(frame) for frame in batch.indices])
+        change = self._brightness_change(view, batch.indices)
+        moved = np.stack([self._displaced_cells(frame) for frame in batch.indices])
         lit = largest_component(fill_holes(change.abs() > self._least_change))
         large = lit.sum((1, 2, 3), keepdim=True) * CELL_PX**2 >= _LEAST_AREA * self._markers.spacing**2
         region = torch.where(large, lit, largest_component(torch.from_numpy(moved)[:, None].to(lit.device)))
@@ -113,13 +113,13 @@ class MarkerContactStage(ContactStage):
             return float(setting)
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
-        change = self._change(self._pictures(looks), looks).abs().flatten(1)
+        change = self._brightness_change(self._pictures(looks), looks).abs().flatten(1)
         most = change[change.nanquantile(0.95, dim=1).argmax()]
         levels = (most[most.isfinite()].clamp_max(0.5) * 510).round().to(torch.uint8)
         threshold = float(otsu_threshold(levels[None, None, None]).reshape(())) / 510 if len(levels) else 0.0
         return max(threshold, _LEAST_CHANGE)
 
-    def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
+    def _brightness_change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
         """Return the brightness change (n, 1, h, w) of each cell since the gel was at rest, from pixels between the
         markers.
 
@@ -133,7 +133,7 @@ class MarkerContactStage(ContactStage):
         hidden = dilate(hidden, math.ceil(_HIDDEN * self._markers.look.scale)).to(view.device)
         return light_change(view, self._rest, hidden, CELL_PX, self._markers.look.scale).nan_to_num(0.0)
 
-    def _moved(self, frame: int) -> NDArray[np.bool_]:
+    def _displaced_cells(self, frame: int) -> NDArray[np.bool_]:
         """Return the mask (h, w) of cells in which the displacement of the gel exceeds the threshold."""
         points = self._markers.points[frame]
         moved = points - self._markers.rest

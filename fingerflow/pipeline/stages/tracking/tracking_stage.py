@@ -110,9 +110,9 @@ class TrackingStage(Stage):
             if self._usable[indices[0]]:
                 yield from self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
             else:
-                self._pass_over(indices)
+                self._skip_frames(indices)
 
-    def _pass_over(self, indices: NDArray[np.intp]) -> None:
+    def _skip_frames(self, indices: NDArray[np.intp]) -> None:
         """Mark frames as unusable, and extrapolate the expected position of each point over these frames at its last
         speed.
         """
@@ -139,7 +139,7 @@ class TrackingStage(Stage):
         before, last = found.status.shape[1], len(images) - 1
         new = self._seed_new(images[last:], margin[last], found.of(slice(last, None)))
         if new is not None:
-            found = beside([found, _in_last_of(len(images), new)])
+            found = beside([found, _extend_to_batch(len(images), new)])
         pixels, error, status = found.points, found.error, found.status
         covered = self._engine.covered(margin, found.estimate, self._matrix)
         for name, values in {
@@ -171,7 +171,7 @@ class TrackingStage(Stage):
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
-        where = self._where()
+        where = self._seeding_region()
         points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
         if len(points) < 3:
             raise FingerflowError(
@@ -186,9 +186,11 @@ class TrackingStage(Stage):
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
-        return self._add(image, points, np.zeros(0, np.intp))
+        return self._start_tracking(image, points, np.zeros(0, np.intp))
 
-    def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
+    def _start_tracking(
+        self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
+    ) -> FoundPoints:
         """Start to track newly seeded points (N, 2) px, and return their tracking results (1, N) in this frame.
 
         `numbers` are the indices of earlier points near the new ones.
@@ -231,7 +233,7 @@ class TrackingStage(Stage):
         near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
         every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._seeded), strict=True)))
-        return self._add(image, points, near, found.points[0, near], every.seeded(points))
+        return self._start_tracking(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the result arrays for more points; return whether that was possible, and warn at a limit."""
@@ -265,7 +267,7 @@ class TrackingStage(Stage):
         enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
-    def _where(self) -> NDArray[np.bool_]:
+    def _seeding_region(self) -> NDArray[np.bool_]:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
@@ -289,7 +291,7 @@ class TrackingStage(Stage):
         return region > 0
 
 
-def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
+def _extend_to_batch(frames: int, seeded: FoundPoints) -> FoundPoints:
     """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
