@@ -84,7 +84,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache key of each planned stage, by the class that `Stage.place` returns for the stage.
+    """Return the cache keys of all planned stages, as a dictionary by stage class (`Stage.place`).
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -111,7 +111,9 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
 def record(
     plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
 ) -> str:
-    """Return cache key, variable names and warnings of each stage as JSON, which the result stores for later reuse."""
+    """Return cache key, variable names and warnings of each stage as JSON, to be stored in the result for later
+    reuse.
+    """
     return json.dumps(
         {
             kind.name: {
@@ -158,7 +160,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 def _reason_to_compute(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return the reason why a stage must be computed instead of reused from the earlier result; "" for reuse."""
+    """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]

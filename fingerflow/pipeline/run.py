@@ -305,7 +305,7 @@ def _go_over_frames(
     with bar:
         if way.ahead and pictures and early and torch.get_num_threads() > 1:
             # `closing` waits for the thread also after an error: the recording must not be closed while it reads.
-            with closing(_ahead(begin_alone, batches)) as begun:
+            with closing(_compute_ahead(begin_alone, batches)) as begun:
                 for batch in begun:
                     yield from _step(last, batch, seconds)
                     bar.update(len(batch.indices))
@@ -336,7 +336,7 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
     return OnnxRuntime(torch.get_num_threads())
 
 
-def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
+def _compute_ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
     """Yield `act(item)` for each item, like `map`, while a second thread computes the result for the next item.
 
     Closing the generator waits for the running computation.

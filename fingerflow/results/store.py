@@ -89,7 +89,7 @@ class Store(ABC):
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Complete the results by coordinates and global attributes, after which nothing may be written."""
+        """Add coordinates and global attributes to the results, after which nothing more may be written."""
 
 
 class MemoryStore(Store):

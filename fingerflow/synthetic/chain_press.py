@@ -59,7 +59,9 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """Return the chain's displacement and divergence since contact, simulated without images or splines."""
+        """Return the chain's displacement and divergence since contact, directly from the simulation, without
+        splines.
+        """
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:

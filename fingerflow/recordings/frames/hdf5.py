@@ -13,7 +13,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, check_stored_size
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
@@ -49,7 +49,7 @@ def _frame(frames: h5py.Dataset, index: int) -> Frames:
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
     frames = _chosen(path, file, dataset)
-    stored_whole(frames, path)
+    check_stored_size(frames, path)
     rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
     dtype = grey_dtype(frames.dtype, path)
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:

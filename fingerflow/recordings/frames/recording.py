@@ -86,8 +86,9 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the name of a codec that predicts frames from other frames, which invalidates standard deviations;
-        else None.
+        """Return the name of the recording's codec if it predicts frames from other frames, else None.
+
+        Standard deviations are invalid in such a recording.
         """
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
@@ -337,7 +338,10 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of steps between successive indices. For a few indices a Python loop is faster than NumPy."""
+    """Return the set of steps between successive indices.
+
+    For a few indices a Python loop is faster than NumPy.
+    """
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}

@@ -290,7 +290,10 @@ def _has_checksums(path: Path) -> bool:
 
 
 def _lossy(codec: Any) -> str | None:
-    """Return the name of a video codec if lossy, else None. Lossless H.264 is recognised by its profile."""
+    """Return the name of a video codec if the codec is lossy, else None.
+
+    Lossless H.264 is recognised by its profile.
+    """
     if codec.codec.lossless and not codec.codec.lossy:
         return None
     lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)

@@ -88,7 +88,9 @@ class FieldsStage(Stage):
         )
 
     def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return displacement gradients and covariances since entry, of points that were advected into the contact."""
+        """Return displacement gradients and covariances of points that were advected into the contact, since their
+        entry.
+        """
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)

@@ -89,7 +89,8 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the points, then of separate corners.
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the tracked points, followed by the
+        separate corners.
 
         Separate corners are copies of points for triangles with another reference frame.
         """
