@@ -19,7 +19,7 @@ class Course(NamedTuple):
 
     @classmethod
     def begin(cls, place: Array, speed: Array) -> Course:
-        """Begin a prediction: return the motion before the first frame, with all points found."""
+        """Return the motion before the first frame, given positions and speeds; all points count as found."""
         return cls(place, speed, np.ones(len(place), bool))
 
     def expect(self) -> Array:
@@ -28,7 +28,7 @@ class Course(NamedTuple):
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Return the motion after one more frame, in which the points were tracked to the positions `found` (1, N).
+        """Return the motion after one more frame, given the tracking result `found` (1, N) of that frame.
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

@@ -24,7 +24,7 @@ _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "thres
 
 
 class Call(NamedTuple):
-    """Engine call that may be batched with calls of other recordings: a method and positional arguments."""
+    """Engine call, stored as method and arguments so that it may be batched with calls of other recordings."""
 
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -39,7 +39,7 @@ class Joining(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch."""
+        """Return a key of the engine: calls of engines with equal keys can be computed in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -103,7 +103,10 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Remove the next group of calls to be batched (the kind first in `_ORDER`), and return it by recording."""
+    """Remove from `waiting` the next calls that can be computed in one batch, and return them by recording.
+
+    The method that comes first in `_ORDER` is computed first.
+    """
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place
@@ -114,13 +117,13 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 
 
 def _kind(call: Call) -> object:
-    """Return the kind of a call: calls of equal kind are computed in one batch."""
+    """Return a key of the call: calls with equal keys are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
 
 
 def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Yield the answers to a group of calls: recording, result and error, from one batch if the engine supports it."""
+    """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
     if len(group) > 1 and isinstance(engine, Joining):

@@ -102,7 +102,7 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute medians of float32 fields over ellipses, as `ops.fields.area_medians` up to rounding.
+    """Compute medians of divergence, curl and strain over ellipses, as `ops.fields.area_medians` up to rounding.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.

@@ -32,7 +32,7 @@ def row_distances(blocks: Array, before: Array) -> Array:
 
 
 def block_distances(blocks: Array, before: Array) -> Array:
-    """Return the distances of each frame from the `LONGEST` + 1 preceding frames, for each row of blocks and the light.
+    """Return the distances of each frame from the `LONGEST` + 1 frames before: one per row of blocks, and one of light.
 
     Args:
         blocks: (n, rows, columns) of `block_means`.

@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Touch of the glass by each of N points in each of F frames; NaN for points without a touch.
+    """Touch data of N points in F frames: position and time at which each touch began; NaN without a touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -64,7 +64,7 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames, and return the touches of all points in each of these frames.
+        """Add F frames, and return the touch data of all points in each of these frames.
 
         Args:
             frames: (F,) numbers of the frames.

@@ -120,7 +120,7 @@ def stress_parts(
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """Return the strain energy density, mJ/mm^3, from the squares and products of strains, or from their means."""
+    """Return the strain energy density, mJ/mm^3, from exx^2, eyy^2, exy^2 and exx eyy (`between`), or their means."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 

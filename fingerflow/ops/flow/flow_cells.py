@@ -24,7 +24,10 @@ _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """Planes height + x slope_x + y slope_y fitted to the two components of a flow, (B, 2, ., .) each."""
+    """Planes fitted to the two components of a flow: the value at (x, y) is height + x slope_x + y slope_y.
+
+    Each attribute is (B, 2, ., .).
+    """
 
     height: Tensor
     slope_x: Tensor
@@ -114,7 +117,7 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the moments (B, 12, h, w) from which planes are fitted to a field (B, 2, h, w).
+    """Return the moments (B, 12, h, w) to which `planes` fits planes: weights and values, times powers of x and y.
 
     Both the weights (B, 1, h, w) and the weighted field enter.
     """
