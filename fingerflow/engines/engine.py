@@ -91,7 +91,7 @@ class TemplateBuffers(Protocol):
 
 
 class FoundPoints(NamedTuple):
-    """Points tracked in K frames; lost points are NaN.
+    """Results of tracking N points in K frames; positions of lost points are NaN.
 
     Attributes:
         points: (K, N, 2) px, NaN where the status is not TRACKED.
@@ -290,9 +290,9 @@ class Engine(Protocol):
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search a frame for key-frame points around guessed positions (n, 2) px; return the positions (n, 2) px found.
+        """Search a frame for key-frame points around guessed positions; return positions (n, 2) px and a mask (n,).
 
-        Also return whether (n,) the search backward returns to the start.
+        The mask is True where the backward search returns to the start.
         """
         ...
 

@@ -35,7 +35,7 @@ Steps = Generator[Call, Any, T]
 
 
 @runtime_checkable
-class Joining(Protocol):
+class BatchingEngine(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
@@ -119,14 +119,14 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 def _kind(call: Call) -> object:
     """Return a key of the call: calls with equal keys are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
-    return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
+    return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 
 def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
     """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
-    if len(group) > 1 and isinstance(engine, Joining):
+    if len(group) > 1 and isinstance(engine, BatchingEngine):
         try:
             results = engine.joined(first.__name__, [call.arguments for call in group.values()])
         except Exception as error:  # calling one by one shows to which recording it belongs

@@ -15,7 +15,7 @@ from torch.nn import functional
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.engine import Array, EngineSettings
 from fingerflow.engines.padding import filled, parts, stacked
-from fingerflow.engines.prediction import Course
+from fingerflow.engines.prediction import Motion
 from fingerflow.graphs import (
     ContactGraph,
     DeformationGraph,
@@ -194,8 +194,8 @@ class TorchEngine:
     def kind(self) -> object:
         """Return a key of the engine: calls of engines with equal keys can be computed in one batch.
 
-        See `together.Joining`. With compiled kernels no calls are joined: it would not be faster, and results of a
-        recording stay independent of the others.
+        See `together.BatchingEngine`. With compiled kernels no calls are joined: it would not be faster, and results of
+        a recording stay independent of the others.
         """
         compiled = self._device.type == "cpu" and kernels.serve()
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
@@ -253,7 +253,7 @@ class TorchEngine:
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
-        courses = [Course.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
+        courses = [Motion.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
             image = _concatenate_frames([one[min(k, len(one) - 1)][None] for one in images])

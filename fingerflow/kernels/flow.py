@@ -90,9 +90,9 @@ def _window(weights: Sequence[float]) -> dict[str, Any]:
 
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
-    """Return the shapes of the five planes of each of `count` multigrid levels; the finest is (height, width).
+    """Return the shapes of the five arrays of each of `count` multigrid levels; the finest has height x width cells.
 
-    The planes are tensor, right, down, inverse and inside.
+    The arrays (planes) are tensor, right, down, inverse and inside.
     """
     levels: list[list[tuple[int, ...]]] = []
     for _ in range(count):

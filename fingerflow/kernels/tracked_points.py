@@ -1,4 +1,4 @@
-"""Kernels of tracked points: seeding, forward and backward search, outliers; from and to NumPy arrays.
+"""Kernels of tracked points, on NumPy arrays: seeding, forward and backward search, outlier detection.
 
 Arrays are checked, and copied only if they are not contiguous.
 """

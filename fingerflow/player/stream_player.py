@@ -21,7 +21,7 @@ from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData, LiveForces, LiveViews
 from fingerflow.player.page_server import serve_page
-from fingerflow.player.played import Played
+from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
@@ -77,7 +77,7 @@ class Player:
         tracker: StreamTracker,
         computed_by: str,
         bundle: Bundle,
-        played: Played,
+        played: StreamInput,
         source: Source,
         sink: Sink,
         layout: RecordLayout,

@@ -42,7 +42,7 @@ class Seeding(NamedTuple):
 
 
 class FrameResults:
-    """Computation of the results of a stream frame by frame; each seeding restarts the values since contact onset.
+    """Computation of the results of a stream, frame by frame; after a seeding, values since contact onset start again.
 
     Tracking does not depend on this state: results may be computed in a thread of their own.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import LONGEST, evened, row_distances
+from fingerflow.tracker.frame_distances import LONGEST, divide_by_mean, row_distances
 from fingerflow.tracker.frame_returns import FAR, REPEATED_SHARE
 
 Array = NDArray[Any]
@@ -98,7 +98,7 @@ class FrameCheck:
         (contact, lines), *others = (_blocks(views[name][0, 0]) for name in sorted(views))  # the contact view is first
         every = [contact, *(one for one, _ in others)]
         means = np.stack(every)
-        even = evened(means).reshape(-1, contact.shape[1])
+        even = divide_by_mean(means).reshape(-1, contact.shape[1])
         blocks = Blocks(means, even, np.log(np.maximum(contact, 1).ravel()))
         if float(contact.mean()) < self._least:
             return blocks, _DARK

@@ -97,7 +97,7 @@ def _shifted(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over each pixel.
+    """Return two convolution kernels, for x and y: the gradient of the Green function G of the Laplacian, per pixel.
 
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.

@@ -34,7 +34,7 @@ def correct_points(
     gauge_px: float,
     support: Support | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Correct tracked points of K frames for the measured deformation of the skin.
+    """Correct the positions of tracked points in K frames for the deformation of the skin, estimated from the points.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.

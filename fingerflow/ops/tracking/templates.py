@@ -136,9 +136,9 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Update templates from the spline coefficients and noise level of a key frame with integer grey levels.
+    """Prepare templates again (template update), from the spline coefficients and the noise of a key frame.
 
-    This is the exported form of `prepare_templates`.
+    This is the exported form of `prepare_templates`, for key frames with integer grey levels.
 
     Args:
         coefficients: (B, 1, H, W) of the key frame (`spline_coefficients`).

@@ -32,7 +32,7 @@ class Source(Protocol):
 OpenSource = Callable[[int], Source]  # from the number of the next frame
 
 
-class Asked(NamedTuple):
+class SourceRequest(NamedTuple):
     """Request to open a file or folder as a source of frames.
 
     Attributes:
