@@ -39,7 +39,7 @@ class BatchingEngine(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return a key of the engine: calls of engines with equal keys can be computed in one batch."""
+        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -93,7 +93,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
         for place, steps in enumerate(many):
             go_on(place, partial(next, steps))
         while waiting:
-            for place, answer, error in _answers(_next_group(waiting)):
+            for place, answer, error in _compute_group(_next_group(waiting)):
                 steps = many[place]
                 go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
                 del answer, error  # frees their memory before the next recording continues
@@ -112,17 +112,17 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
         return _ORDER.index(waiting[place].method.__name__), place
 
     first = waiting[min(waiting, key=turn)]
-    kind = _kind(first)
-    return {place: waiting.pop(place) for place in sorted(waiting) if _kind(waiting[place]) == kind}
+    kind = _batch_key(first)
+    return {place: waiting.pop(place) for place in sorted(waiting) if _batch_key(waiting[place]) == kind}
 
 
-def _kind(call: Call) -> object:
+def _batch_key(call: Call) -> object:
     """Return a key of the call: calls with equal keys are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 
-def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
+def _compute_group(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
     """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]

@@ -192,7 +192,7 @@ class TorchEngine:
         return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
     def kind(self) -> object:
-        """Return a key of the engine: calls of engines with equal keys can be computed in one batch.
+        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
 
         See `together.BatchingEngine`. With compiled kernels no calls are joined: it would not be faster, and results of
         a recording stay independent of the others.

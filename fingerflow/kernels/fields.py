@@ -14,7 +14,7 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """Results of local plane fits, defined as in `ops.fields.local_fit.LocalFit`."""
+    """Planes fitted locally to scattered values, with the attributes of `ops.fields.local_fit.LocalFit`."""
 
     value: Array
     gradient: Array

@@ -245,7 +245,7 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> FlowResidual[Array]:
-    """Compute the residual of a flow as cell means, as `ops.flow.dense_flow`.
+    """Compute the residual of a flow, averaged over cells, as `ops.flow.dense_flow`.
 
     `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
     (B, ., h, w) lie on cells.

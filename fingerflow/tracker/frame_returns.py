@@ -42,7 +42,7 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
     if frames > 1:
         distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
     steps = _neighbour_distances(distances)
-    quotients = [_quotients(distances, steps, length) for length in range(1, LONGEST + 1)]
+    quotients = [_jump_measure(distances, steps, length) for length in range(1, LONGEST + 1)]
     limits = [FAR * _usual_level(one) for one in quotients]
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
@@ -73,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Return how many frames from `frame` on differ from the image of `last` before it returns; 0 if there is no jump.
+    """Return how many frames, from `frame` on, differ from the image of `last` before that image returns; 0 if none.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -108,7 +108,7 @@ def _denominator(pair: Distances, before: Distances, after: Distances) -> Distan
     return result
 
 
-def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
+def _jump_measure(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
     """Return a jump measure (F - length - 1, rows) of each run of `length` frames: large for a jump that returns.
 
     It is the distance of the run from the two frames around it, over the distance between these two.

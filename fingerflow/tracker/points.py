@@ -260,7 +260,7 @@ class Points:
             return (yield from self._accepted(resolved, frames, images))
         speed = self.motion.speed
         followed: Followed = yield Call(self._engine.follow, (self._templates, images, guess - speed, speed, None))
-        return (yield from self._finished_all(images, followed, around))
+        return (yield from self._finish_images(images, followed, around))
 
     def _track_image(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
         """Track all points, or those with indices `rows`, in one image near guessed positions."""
@@ -276,7 +276,7 @@ class Points:
         found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
 
-    def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
+    def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
         """Finish several images tracked in one call: recover lost points, correct positions, update the motion."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
@@ -422,10 +422,10 @@ class Points:
             self._key = self._engine.key(image)
             self._templates = yield Call(self._engine.prepare, (self._key, found.points[0], None))
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
-            self._check_templates(corrected.warp[-1], corrected.shift[-1])
+            self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
         return found._replace(estimate=_last_seen(found.points, before))
 
-    def _check_templates(self, warp: Array, shift: Array) -> None:
+    def _plan_template_update(self, warp: Array, shift: Array) -> None:
         """Plan an update of the templates whose window edges have shifted by more than `UPDATE_PX`.
 
         An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so

@@ -8,7 +8,7 @@ It minimises, over the pixels x of a mask,
 aperture problem; alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both images
 pass the same low-pass filter. Departures from the paper:
 
-- The smoothness term penalises the departure of w from its own trend M w (`course` of `flow_cells`). M w is the plane
+- The smoothness term penalises the departure of w from its own trend M w (`trend` of `flow_cells`). M w is the plane
   that fits w best, plus planes fitted to the remainder around every position over some two periods of ridges. With
   |grad w|^2, a finger that widens evenly is flattened at the border of the mask, and a wave of 300 px loses 3 % of its
   height. Noise could then be averaged over a few pixels only. On ridges with 2 grey levels of noise the error falls

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.flow.flow_cells import COURSE_WINDOW, course, halved, spread
+from fingerflow.ops.flow.flow_cells import COURSE_WINDOW, halved, spread, trend
 
 DAMPING = 0.8  # of a Jacobi step
 SWEEPS = 2  # before and after the coarser levels
@@ -111,12 +111,12 @@ def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cy
     if pull.dtype == torch.float32 and kernels.serve(pull, flow, known, *levels[0]):
         planes = [plane for level in levels for plane in level]
         return kernels.flow_descend(planes, pull, flow, known, COURSE_WINDOW, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING)
-    own = course(flow, known)
+    own = trend(flow, known)
     flow = torch.where(known > 0, flow, own)
     step = v_cycle(levels, pull - laplacian(levels[0], flow - own))
     for _ in range(cycles - 1):
         moved = flow + step
-        over = laplacian(levels[0], moved - course(moved, known))
+        over = laplacian(levels[0], moved - trend(moved, known))
         step = step + v_cycle(levels, pull - times(levels[0].tensor, step) - over)
     return flow + step
 

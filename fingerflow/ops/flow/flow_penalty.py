@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.flow import FlowResidual
-from fingerflow.ops.flow.flow_cells import CELL, course
+from fingerflow.ops.flow.flow_cells import CELL, trend
 from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 
 Penalty = Literal["quadratic", "charbonnier"]
@@ -55,7 +55,7 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, 
         known: (B, 1, h, w), 1 or 0: cells that contribute to the trend; at the others the departure is 0.
         roughness: as of `dense_flow`.
     """
-    departure = torch.where(known > 0, flow - course(flow, known), 0.0)
+    departure = torch.where(known > 0, flow - trend(flow, known), 0.0)
     right, down = edge_weights(departure, roughness)
     return pyramid(finest.inside * tensor, finest.right * right, finest.down * down, finest.inside)
 

@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Two outlier flags of each tracked point, (B, N) bool.
+    """Outlier flags (B, N) bool of tracked points: deviation from the neighbours, and excessive uncertainty.
 
     Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 

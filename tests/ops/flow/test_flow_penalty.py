@@ -11,7 +11,7 @@ from fingerflow.kernels.flow import FlowResidual
 from fingerflow.ops import dense_flow
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.flow.dense_flow import _refined, _residual, prepare_flow
-from fingerflow.ops.flow.flow_cells import course, integrated, to_cells
+from fingerflow.ops.flow.flow_cells import integrated, to_cells, trend
 from fingerflow.ops.flow.flow_multigrid import laplacian
 from fingerflow.ops.flow.flow_penalty import data_weights, edge_weights
 from tests.ops.flow.test_dense_flow import GREY, errors, pair, photograph, wave
@@ -67,7 +67,7 @@ def test_warps_lead_to_the_fixed_point_of_the_weighted_equation() -> None:
         left = _residual(template, coefficients, flow)
         known = (left.seen > 0).double()
         finest = template.levels[0]
-        departure = known * (flow - course(flow, known))
+        departure = known * (flow - trend(flow, known))
         right, down = edge_weights(departure, template.roughness)
         data = integrated(data_weights(left, 0.42**2 * template.variance) * left.data, template.weights)
         smoothing = laplacian(finest._replace(right=finest.right * right, down=finest.down * down), departure)
