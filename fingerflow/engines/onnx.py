@@ -26,7 +26,7 @@ from fingerflow.engines.engine import (
     KeyFrame,
 )
 from fingerflow.engines.padding import filled
-from fingerflow.engines.prediction import Motion
+from fingerflow.engines.prediction import MotionState
 from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
@@ -176,7 +176,7 @@ class OnnxEngine:
     def follow(
         self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        course = Motion.begin(place, speed)
+        course = MotionState.begin(place, speed)
         guess = course.expect()
         every = np.arange(len(guess)) if rows is None else rows
         found = self._track_frame(templates, images, guess, every, whole=rows is None)

@@ -15,7 +15,7 @@ from torch.nn import functional
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.engine import Array, EngineSettings
 from fingerflow.engines.padding import filled, parts, stacked
-from fingerflow.engines.prediction import Motion
+from fingerflow.engines.prediction import MotionState
 from fingerflow.graphs import (
     ContactGraph,
     DeformationGraph,
@@ -253,7 +253,7 @@ class TorchEngine:
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
-        courses = [Motion.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
+        courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
             image = _concatenate_frames([one[min(k, len(one) - 1)][None] for one in images])
