@@ -74,7 +74,7 @@ def described(frames: Array) -> dict[str, Array | int]:
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Check frames, `light` and `black` images; return the fields of the C structure `fingerflow_lit_frames`.
+    """Check frames, their light and black level; return the fields of the C structure `fingerflow_lit_frames`.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.

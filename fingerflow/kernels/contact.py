@@ -89,10 +89,10 @@ def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> A
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Divide frames by the empty glass, as `ops.filters.illumination`; return quotients and a mask of known pixels.
+    """Divide frames by the light of the empty glass; return the quotients and a mask of the pixels with a quotient.
 
-    Both are (B, 1, H, W). Frames are of FRAME_KINDS, `light` and `black` as for `real_contact_mask`. A pixel is lit if
-    its light exceeds `least`, float32, one per image of light.
+    Both are (B, 1, H, W), as in `ops.filters.illumination`. Frames are of FRAME_KINDS, `light` and `black` as for
+    `real_contact_mask`. A pixel is lit if its light exceeds `least`, float32, one per image of light.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.

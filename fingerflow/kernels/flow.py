@@ -82,7 +82,7 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return half of a symmetric window as kernel arguments; raise ValueError if the window is asymmetric."""
+    """Return half of the weights of a symmetric window, for a kernel; raise ValueError if it is asymmetric."""
     if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
         raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2

@@ -208,7 +208,7 @@ class Player:
         }
 
     def _run_guarded(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Run the function of a thread, then close the queues `after`; an exception stops the stream."""
+        """Run `step`, then call each function of `after`, which closes a queue; an exception stops the stream."""
         try:
             step()
         except BaseException as error:

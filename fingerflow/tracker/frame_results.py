@@ -32,7 +32,7 @@ RESULTS = (
 
 
 class Seeding(NamedTuple):
-    """Seeding of points in a frame, from which tracking starts: positions (N, 2) px, padded with NaN.
+    """Seeded points with which tracking starts: positions (N, 2) px in a frame, padded with NaN.
 
     `before` (M, 2) px are the positions of the previous points in the frame of the seeding; None for the first seeding.
     """

@@ -303,7 +303,7 @@ def _closeness_weights(
 
 
 def _mean_derivatives(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, N) of weighted means of five fields by the displacements of N points.
+    """Return the derivatives (B, 5, 2, N) of weighted means of five fields with respect to point displacements.
 
     The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
     position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so

@@ -27,7 +27,7 @@ def curl(gradient: Tensor) -> Tensor:
 
 
 def shear(gradient: Tensor) -> Tensor:
-    """Return the two shear components (..., 2) of a displacement gradient, without unit.
+    """Return the two shear components (..., 2), du/dx - dv/dy and du/dy + dv/dx, without unit.
 
     They are s = du/dx - dv/dy along the axes and t = du/dy + dv/dx along the diagonals. With divergence d and curl c
     the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021, figure S6).
@@ -72,7 +72,7 @@ class PrincipalStrains(NamedTuple):
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Return the two principal strains of a strain (exx, eyy, exy) (..., 3), and the direction of the major one.
+    """Return the two principal strains of a strain tensor (exx, eyy, exy), (..., 3), and the major direction.
 
     Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
     autograd gives both the gradient of their mean.

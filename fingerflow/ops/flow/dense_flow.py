@@ -425,7 +425,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _stays_inside(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of a mask that the flow leaves at least `margin` px inside the frame, else 0."""
+    """Return 1 for pixels of a mask whose flow ends at least `margin` px inside the frame, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]

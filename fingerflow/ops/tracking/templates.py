@@ -480,7 +480,7 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return three sums over the residual of each registered window: squares, and edge differences in x and in y.
+    """Return three sums of the squared residual of each window: of all pixels, and edge differences in x and in y.
 
     The sums are (B, 3, N). The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D
     grad D in x and in y: half the differences of D^2 between opposite edges.
