@@ -358,8 +358,8 @@ STRAIN = (
     ),
     Variable(
         "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
-        equation="√(σ²(points) + σ²(border) + (2U/u · 0.3 µm)²), u the RMS displacement: 0.3 µm are in all points alike; "
-        "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²)",
+        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
+        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²)",
     ),
     Variable(
         "strain_energy_between_points", FRAME, "mJ",

@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.border_energy import border_density
-from fingerflow.pipeline.stages.strain.contact_energy import MISFIT, ContactEnergy, Solid, perimeter
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.schema.variables import STRAIN
@@ -31,10 +31,10 @@ _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 class StrainStage(Stage):
     """Stage that computes strain and strain energy on Delaunay triangles between the reference positions of the points.
 
-    The energy of all skin in contact is that of a field which vanishes at the border (`contact_energy`). This holds
-    where displacement counts from the onset and the border has advanced over the skin beside it, and where the points
-    agree. Elsewhere, as on a slide or when the finger is lifted, it is the sum over the triangles, and the skin between
-    them and the border has the density of the triangles beside it.
+    The energy of all skin in contact is that of a field which vanishes at the border (`contact_energy`), where
+    displacement counts from the onset and is seen to fall towards the border. Elsewhere, as on a slide or when the
+    finger is lifted, it is the sum over the triangles, and the skin between them and the border has the density of the
+    triangles beside it.
 
     The sum over triangles is that of triangles that have touched as a whole and have two or more corners in the contact
     now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted. Skin
@@ -84,9 +84,6 @@ class StrainStage(Stage):
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         self._border = Border.of(self.trial.stage(ContactStage).series)
-        size = np.sqrt(self._border.semi_axes.prod(1))
-        # Displacement at the border is that of skin beyond it where the border has receded.
-        self._advances = moved.by_onsets & (size > np.fmax.accumulate(size) - BORDER_MM)
 
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
@@ -136,25 +133,19 @@ class StrainStage(Stage):
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
         moved: Moved = batch.of(DisplacementStage)
         for frame, whole in zip(frames, self._whole.of_frames(*self._onset_field(moved, frames), border), strict=True):
-            if whole.misfit < MISFIT:
+            if np.isfinite(whole.energy):
                 self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
-        """Return arguments of `ContactEnergy.of_frames`; no point counts where the field need not vanish at the border.
-
-        That is where the contact has receded, or has covered most of the points beside the border from the beginning.
-        """
-        stage, position = self.trial.stage(DisplacementStage), self.results["position"][frames]
+        """Return arguments of `ContactEnergy.of_frames`; no point counts if displacement is not since the onset."""
+        stage = self.trial.stage(DisplacementStage)
         counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
         counts[:, stage.entered] = False
-        with np.errstate(invalid="ignore"):
-            rim = counts & (self._border.at(frames).inside(position) < self.inputs.gauge_length_mm / 2)
-        grown = 2 * (rim & (stage.onset > stage.onset[stage.onset >= 0].min(initial=0))).sum(1) > rim.sum(1)
-        counts &= (grown & self._advances[frames])[:, None]
+        counts &= stage.by_onsets
         variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
-        return position, moved.displacement, variance, counts
+        return self.results["position"][frames], moved.displacement, variance, counts
 
     def _rim_area(
         self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
