@@ -78,7 +78,9 @@ def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -
 
     No point lies within 0.1 mm of the border; the skin there has 25 to 50 % of the energy."""
     contact = contact_of(press, frame, measure)
-    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(contact.energy, rel=5e-3)
+    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(
+        contact.energy, rel=5e-3
+    )
 
 
 @pytest.mark.parametrize("frame", [20, 30, 50])
