@@ -7,8 +7,8 @@ frames of a press err alike, and one press alone had 1.5 where eight have 1.1. R
 `error` in 1e-3, its mean and RMS; `z` is the error over the stated deviation. Those that hold it have an RMS of one,
 68 % of the frames within one deviation and 95 % within two.
 
-Energy, in uJ, is that of all skin in contact, from 10 mm2 of contact on; `percent_rms` and `percent_worst` are errors over
-the truth. Energy between points is compared with that of the skin in the triangles that it is summed over.
+Energy, in uJ, is that of all skin in contact, from 10 mm2 of contact on; `percent_rms` and `percent_worst` are errors
+over the truth. Energy between points is compared with that of the skin in the triangles that it is summed over.
 
 Five slides of other skin, a millimetre at 90 Hz, and five that differ in frame rate, way, creep, direction and size of
 the contact, once the pull has drawn skin in over the rear rim: of their medians truth counts each skin since its own

@@ -15,7 +15,7 @@ from fingerflow.pipeline.stages.displacement.displacement_stage import Displacem
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.border_energy import border_density
+from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
