@@ -154,7 +154,8 @@ class StrainStage(Stage):
         (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
         areas = abs(ax * by - ay * bx).T / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
-        return np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
+        result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
+        return result
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
