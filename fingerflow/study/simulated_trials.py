@@ -36,7 +36,7 @@ class Design:
         trials: pairs of presses of each participant in each condition.
         amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
         friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
-            angles, and divergence of the chain rises from 0 to 20 µm/mm over this range at the mean force). Its
+            angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
         softness: of firmer and softer skin, divisors of the chain's printed stiffnesses, so that apparent areas at the
             peak are 70.1 ± 4.5 mm² over participants (B5), in two groups (B66).
@@ -253,9 +253,7 @@ def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPr
     )
 
 
-def _at_peak(
-    design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values
-) -> tuple[Values, Values]:
+def _at_peak(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
     """Return divergence and apparent contact area (mm²) at the peak force of presses, from tables over the force."""
     divergence, area = np.empty(force.size), np.empty(force.size)
     for friction in np.unique(design.friction_at(amplitude)):

@@ -87,15 +87,17 @@ def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> Non
     there by chance. Equal glass is answered by chance, and more vibration is felt better."""
     reference, comparison = presses.pairs()
     answers = answers_of(DESIGN, reference, comparison)
-    shares = {
-        soft: np.array([answers[(comparison.amplitude == a) & (comparison.soft == soft)].mean() for a in DESIGN.amplitudes])
-        for soft in (False, True)
-    }
-    both = (shares[False] + shares[True]) / 2
+    firm, soft = (
+        np.array(
+            [answers[(comparison.amplitude == one) & (comparison.soft == group)].mean() for one in DESIGN.amplitudes]
+        )
+        for group in (False, True)
+    )
+    both = (firm + soft) / 2
     assert both[0] == pytest.approx(0.5, abs=0.04)
     assert both[-1] > 0.9
     assert (np.diff(both) > -0.02).all()
-    advantage = shares[True] - shares[False]
+    advantage = soft - firm
     assert advantage[1:3].mean() > 0.03
     assert advantage[1:3].mean() > advantage[4:].mean()
     medians = 1e3 * _by_participant(presses, presses.divergence, np.mean)
