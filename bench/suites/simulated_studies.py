@@ -9,8 +9,8 @@ The answers follow from the truth, the metrics from the pictures by `process` an
   trials of the same design, by their truth, without pictures;
 - holds: whether the three intervals contain the truth;
 - best, best_by_auc: which of the paper's seven metrics (figure S11) tells answers best, by |d'| and by |area - 1/2|.
-  Strain energy and strain rate rise with the divergence: by ranks, which the area goes by, they can come as near to it as
-  chance among 56 trials reaches.
+  Strain energy and strain rate rise with the divergence: by ranks, which the area goes by, they can come as near to
+  it as chance among 56 trials reaches.
 
 Rows `all` count studies. The metrics of every press are kept in `results/simulated_studies.csv`: a run that was
 interrupted goes on, and one that is complete renders nothing.
