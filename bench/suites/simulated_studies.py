@@ -40,7 +40,10 @@ from fingerflow.study.simulated_trials import Design, Felt, Presses, answers_of,
 from fingerflow.synthetic import write_recording
 
 STUDIES = 20
-DESIGN = Design(participants=8, trials=1, force_range=(4.0, 9.0), noise=(0.008, 3.0), view_px=418)
+DESIGN = Design(
+    participants=8, trials=1, softness=(3.15, 3.8), force_range=(4.0, 9.0), real_area=(23.7, 4.5), noise=(0.008, 3.0),
+    view_px=418,
+)  # fmt: skip
 STORE = Path(__file__).parents[1] / "results" / "simulated_studies.csv"
 FELT: tuple[Felt, ...] = ("divergence", "real_contact_area")
 STATISTICS = ("d_prime", "auc", "criterion")
