@@ -1,4 +1,4 @@
-"""Detection of invalid frames of a recording: frames in which the image jumps and returns, or is repeated."""
+"""Detection of frames in which the image jumps and returns: one rule for a recording and for a stream."""
 
 from itertools import combinations
 
@@ -7,30 +7,66 @@ from numpy.typing import NDArray
 
 from fingerflow.tracker.frame_distances import LONGEST
 
-# Limit of the distance to both neighbours over that between them. A shift by 5 px gives 5 to 30, noise 2.
-FAR = 4.0
-_USUAL = 0.9  # quantile of that quotient over the recording that is taken as usual: lamps flicker, fingers vibrate
-_FAR_AT_END = 5.0  # limit for the first and last frame, with neighbours on one side only
+# Limits of the excess: noise alone gives 0.16 at most, a jump of 0.3 px gives 0.25 (`tests.silent.frames`). A distance
+# must be four times what is usual where light flickers or a finger vibrates.
+_LEAST_EXCESS, _FAR = 0.25, 16.0
+_USUAL = 0.9  # quantile of the excess that is taken as usual
+_BACK = 0.6  # share of the longer way, there or back, below which the rest between both ends is a return
+_FAR_AT_END = 2.25  # limit for the first and last frame, with neighbours on one side only
 _MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
-REPEATED_SHARE = 0.2  # of the frames, beyond which repetitions are normal for the camera and no fault
-Distances = NDArray[np.float32]
+SquaredDistances = NDArray[np.float32]
 
 
-def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
+    """Return by how much the ways (..., rows) into one to `LONGEST` frames and out of them exceed the steps nearby.
+
+    Args:
+        into: squared distance of the first of these frames from the frame before them.
+        out_of: squared distance of the frame behind them from the last of them.
+        usual: squared distance of consecutive frames nearby; it holds the noise that is part of every distance.
+    """
+    result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
+    return result
+
+
+def returns(
+    into: SquaredDistances, out_of: SquaredDistances, between: SquaredDistances, usual: SquaredDistances
+) -> NDArray[np.bool_]:
+    """Return whether the image returns (..., rows): `between`, from before these frames to behind them, is shorter.
+
+    It is compared with the longer way, there or back. What moves on, however unevenly, gets further from where it was.
+    Other arguments are those of `excess`.
+    """
+    usual = np.fmax(usual, 1)
+    result: NDArray[np.bool_] = between - usual < _BACK * (np.maximum(into, out_of) - usual)
+    return result
+
+
+def limit_of(excesses: SquaredDistances) -> SquaredDistances:
+    """Return the limits (rows,) of an excess, from the excesses (n, rows) of single frames so far, or of a recording."""
+    if not len(excesses):
+        return np.full(excesses.shape[1], _LEAST_EXCESS, np.float32)
+    # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
+    quantile = np.nanquantile if np.isnan(excesses).any() else np.quantile
+    usual = quantile(excesses, _USUAL, axis=0)
+    result: SquaredDistances = np.fmax(_FAR * usual - 1, _LEAST_EXCESS).astype(np.float32)
+    return result
+
+
+def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (F,) of jumps that return: frames far from both adjacent frames, which are close to each other.
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
-    shifted or of another brightness, is far from both neighbours, while these are as close to each other and to the
-    frames beyond them as ever. A frame is marked if, in some row of blocks or in its light, it is four times as far,
-    four times as far as consecutive frames mostly are, and four times what is usual where light flickers or a finger
-    vibrates. Up to `LONGEST` such frames in a row are found. The first and the last frame have neighbours on one side
-    only, and are marked if they are five times as far from them as these from each other.
+    shifted or of another brightness, is far from both neighbours, while these are as close to the frames beyond them as
+    ever, and closer to each other: its `excess` is large and the image `returns`. Up to `LONGEST` such frames in a row
+    are found. The first and the last
+    frame have neighbours on one side only, and are marked if they are 1.5 times as far from them as these from each other.
 
     At 300 frames/s a vibration of 40 to 150 Hz returns as fast. A lasting one raises what is usual, or is found in more
     than a tenth of the frames.
 
     Args:
-        distances: (F, LONGEST + 1, rows) of `block_distances`.
+        distances: (F, LONGEST + 1, rows) of `squared_distances_before`.
         usable: (F,) False for frames already known to be invalid, with which none is compared.
 
     Returns:
@@ -38,16 +74,13 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
     """
     frames = len(distances)
     found = np.zeros(frames, dtype=bool)
-    # Distances that are due to noise vary by as much as their own size.
-    if frames > 1:
-        distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
     steps = _steps(distances)
-    quotients = [_quotients(distances, steps, length) for length in range(1, LONGEST + 1)]
-    limits = [FAR * _usual(one) for one in quotients]
+    excesses = [_excesses(distances, steps, length) for length in range(1, LONGEST + 1)]
+    limits = [limit_of(one) for one in excesses]
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
-    for quotient, limit in zip(quotients, limits, strict=True):
-        likely[1 : 1 + len(quotient)] |= (quotient > limit).any(1)
+    for one, limit in zip(excesses, limits, strict=True):
+        likely[1 : 1 + len(one)] |= (one > limit).any(1)
     for known, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
         far = _far_at_start(apart, np.flatnonzero(known))
         found |= far if known is usable else far[::-1]
@@ -66,71 +99,60 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
 
 
 def _length_of_jump(
-    distances: Distances,
-    steps: tuple[Distances, Distances],
+    distances: SquaredDistances,
+    steps: tuple[SquaredDistances, SquaredDistances],
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
-    limits: list[NDArray[np.float32]],
+    limits: list[SquaredDistances],
 ) -> int:
     """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
+    latest = frame  # of the jump
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
             break
         if not usable[back]:
             continue
-        out = [np.minimum(distances[k, k - last - 1], distances[back, back - k - 1]) for k in range(frame, back)]
-        quotient = np.min(out, axis=0) / _near(distances[back, back - last - 1], steps[0][last], steps[1][back])
-        if (quotient > limits[length - 1]).any():
+        into, out_of = distances[frame, frame - last - 1], distances[back, back - latest - 1]
+        usual = np.maximum(steps[0][last], steps[1][back])
+        far = excess(into, out_of, usual) > limits[length - 1]
+        if (far & returns(into, out_of, distances[back, back - last - 1], usual)).any():
             return length
+        latest = back
     return 0
 
 
-def _steps(distances: Distances) -> tuple[Distances, Distances]:
+def _steps(distances: SquaredDistances) -> tuple[SquaredDistances, SquaredDistances]:
     """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
 
-    They are 0 where there are none.
+    It is the median over the recording where there are none. A frame that repeats another has no distance from it.
     """
+    if len(distances) < 2:
+        return np.ones_like(distances[:, 0]), np.ones_like(distances[:, 0])
+    median = np.median(distances[1:, 0], axis=0)
+    distances = np.where(distances > 0, distances, np.float32(np.nan))
     before = np.fmin(distances[:, 0], distances[:, 1])
-    after = np.zeros_like(before)
+    after = np.full_like(before, np.nan)
     after[:-1] = distances[1:, 0]
     after[:-2] = np.fmin(after[:-2], distances[2:, 1])
-    return np.nan_to_num(before), after
+    return np.where(np.isnan(before), median, before), np.where(np.isnan(after), median, after)
 
 
-def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the denominator of the quotient that detects jumps: the largest of the given distances and 1."""
-    result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
-    return result
-
-
-def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that is large if the image jumps.
-
-    It is the distance of the run from the two frames around it, over the distance between these two.
-    """
+def _excesses(
+    distances: SquaredDistances, steps: tuple[SquaredDistances, SquaredDistances], length: int
+) -> SquaredDistances:
+    """Return the `excess` (F - length - 1, rows) of each run of `length` frames."""
     back = np.arange(length + 1, len(distances))
     last = back - length - 1
-    out = [np.minimum(distances[last + j, j - 1], distances[back, length - j]) for j in range(1, length + 1)]
-    result: Distances = np.min(out, axis=0) / _near(distances[back, length], steps[0][last], steps[1][back])
-    return result
+    usual = np.maximum(steps[0][last], steps[1][back])
+    return excess(distances[last + 1, 0], distances[back, 0], usual)
 
 
-def _usual(quotients: Distances) -> Distances:
-    """Return the level (rows,) that quotients usually stay below: the 0.9 quantile over a recording, at least 1."""
-    if not len(quotients):
-        return np.ones(quotients.shape[1], np.float32)
-    # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
-    quantile = np.nanquantile if np.isnan(quotients).any() else np.quantile
-    result: Distances = np.maximum(quantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
-    return result
-
-
-def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _far_at_start(distances: SquaredDistances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Mark the first usable frame in a mask (F,) if it is far from the next three frames, which are close together."""
     result = np.zeros(len(distances), dtype=bool)
     first, *after = known[:4].tolist() or [0]
@@ -141,23 +163,10 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
     return result
 
 
-def _reversed(distances: Distances) -> Distances:
-    """Reorder the distances of `block_distances` as if the frames came in reversed order."""
+def _reversed(distances: SquaredDistances) -> SquaredDistances:
+    """Reorder squared distances as if the frames came in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):
         result[gap:, gap - 1] = distances[gap:, gap - 1][::-1]
-    return result
-
-
-def repeats(distances: Distances) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the frames that repeat the preceding frame: all block means are equal.
-
-    Frames next to another such frame are left out.
-    """
-    same: NDArray[np.bool_] = (distances[:, 0] == 0).all(1)
-    result = same.copy()
-    result[1:-1] &= ~same[:-2] & ~same[2:]
-    if len(result) > 1:
-        result[-1] &= not same[-2]
     return result
