@@ -1,6 +1,9 @@
 """Detection of frames in which the image jumps and returns: one rule for a recording and for a stream."""
 
+from __future__ import annotations
+
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,46 +13,100 @@ from fingerflow.tracker.frame_distances import LONGEST
 # Limits of the excess: noise alone gives 0.16 at most, a jump of 0.3 px gives 0.25 (`tests.silent.frames`). A distance
 # must be four times what is usual where light flickers or a finger vibrates.
 _LEAST_EXCESS, _FAR = 0.25, 16.0
-_USUAL = 0.9  # quantile of the excess that is taken as usual
+NEARBY = 8  # steps before, and behind, from which it is known what is ordinary
+_JERK = 2.0  # more of an excess that moving skin may have: one step of 1.8 times the ordinary ones
+_USUAL, _SLOW = 0.9, 0.1  # quantiles: of the excess that is taken as usual, of the steps that are noise
 _BACK = 0.6  # share of the longer way, there or back, below which the rest between both ends is a return
 _FAR_AT_END = 2.25  # limit for the first and last frame, with neighbours on one side only
 _MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
-SquaredDistances = NDArray[np.float32]
+SquaredDistances = NDArray[Any]
+
+
+class Ways(NamedTuple):
+    """Squared distances (..., rows) that tell whether the image jumps with one to `LONGEST` frames and returns.
+
+    Attributes:
+        into: of the first of these frames from the frame before them.
+        out_of: of the frame behind them from the last of them.
+        between: of the frame behind them from the one before them.
+        within: longest step between consecutive ones of them; 0 for one frame.
+        usual: of consecutive frames nearby; it holds the noise that is part of every distance.
+    """
+
+    into: SquaredDistances
+    out_of: SquaredDistances
+    between: SquaredDistances
+    within: SquaredDistances
+    usual: SquaredDistances
+
+
+class Known(NamedTuple):
+    """What is known of ordinary frames of a recording, or of a stream so far: two squared distances (rows,).
+
+    Attributes:
+        noise: that of frames without motion, or of the slowest.
+        limit: of an `excess`, where frames are at rest.
+    """
+
+    noise: SquaredDistances
+    limit: SquaredDistances
+
+    @classmethod
+    def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Known:
+        """Measure both from the steps (n, rows) of consecutive frames and the excesses (m, rows) of single frames."""
+        usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
+        limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
+        return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
+
+
+def is_jump(ways: Ways, known: Known) -> bool:
+    """Return whether the image jumps and returns in some row.
+
+    - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
+      jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
+      that taps are not; or both ways are four times as long as those nearby.
+    - The image returns: the way between the frames around them is shorter than the longer way, there or back. What
+      moves on, however unevenly, gets further from where it was.
+    """
+    usual = np.fmax(ways.usual, 1)
+    longer = np.maximum(ways.into, ways.out_of) - usual
+    most = np.maximum(usual, ways.within)
+    far = excess(ways.into, ways.out_of, most) > _limit(most, known)
+    very_far = excess(ways.into, ways.out_of, usual) > np.maximum(known.limit, _FAR - 1)
+    return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
+
+
+def is_far(step: SquaredDistances, usual: SquaredDistances, known: Known | None = None) -> bool:
+    """Return whether the image may jump with a frame in some row: its step is longer than usual ones nearby.
+
+    Without what is `known` of other frames, by the least excess that may count.
+    """
+    usual = np.fmax(usual, 1)
+    return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _limit(usual, known))).any())
+
+
+def _limit(usual: SquaredDistances, known: Known) -> SquaredDistances:
+    """Return the limits (..., rows) of an excess over usual steps."""
+    moving = 1 - np.clip(known.noise, 1, usual) / usual
+    result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
+    return result
 
 
 def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
-    """Return by how much the ways (..., rows) into one to `LONGEST` frames and out of them exceed the steps nearby.
-
-    Args:
-        into: squared distance of the first of these frames from the frame before them.
-        out_of: squared distance of the frame behind them from the last of them.
-        usual: squared distance of consecutive frames nearby; it holds the noise that is part of every distance.
-    """
+    """Return by how much both ways (..., rows), into frames and out of them, exceed usual steps: a quotient less 1."""
     result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
     return result
 
 
-def returns(
-    into: SquaredDistances, out_of: SquaredDistances, between: SquaredDistances, usual: SquaredDistances
-) -> NDArray[np.bool_]:
-    """Return whether the image returns (..., rows): `between`, from before these frames to behind them, is shorter.
+def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
+    """Return the level that ordinary steps stay below, from `NEARBY` squared steps along an axis.
 
-    It is compared with the longer way, there or back. What moves on, however unevenly, gets further from where it was.
-    Other arguments are those of `excess`.
+    It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
+    for smooth motion, more the more it jerks.
     """
-    usual = np.fmax(usual, 1)
-    result: NDArray[np.bool_] = between - usual < _BACK * (np.maximum(into, out_of) - usual)
-    return result
-
-
-def limit_of(excesses: SquaredDistances) -> SquaredDistances:
-    """Return the limits (rows,) of an excess, from the excesses (n, rows) of single frames so far, or of a recording."""
-    if not len(excesses):
-        return np.full(excesses.shape[1], _LEAST_EXCESS, np.float32)
-    # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
-    quantile = np.nanquantile if np.isnan(excesses).any() else np.quantile
-    usual = quantile(excesses, _USUAL, axis=0)
-    result: SquaredDistances = np.fmax(_FAR * usual - 1, _LEAST_EXCESS).astype(np.float32)
+    ordered = np.sort(steps, axis=axis)
+    most, middle = (np.fmax(ordered.take(k, axis=axis), 1) for k in (-3, NEARBY // 2))
+    result: SquaredDistances = most * (most / middle)
     return result
 
 
@@ -58,9 +115,9 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
     shifted or of another brightness, is far from both neighbours, while these are as close to the frames beyond them as
-    ever, and closer to each other: its `excess` is large and the image `returns`. Up to `LONGEST` such frames in a row
-    are found. The first and the last
-    frame have neighbours on one side only, and are marked if they are 1.5 times as far from them as these from each other.
+    ever, and closer to each other (`is_jump`). Up to `LONGEST` such frames in a row are found. The first and the last
+    frame have neighbours on one side only, and are marked if they are 1.5 times as far from them as these from each
+    other.
 
     At 300 frames/s a vibration of 40 to 150 Hz returns as fast. A lasting one raises what is usual, or is found in more
     than a tenth of the frames.
@@ -74,16 +131,16 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     """
     frames = len(distances)
     found = np.zeros(frames, dtype=bool)
+    if frames < 2:
+        return found
+    for some, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
+        far = _far_at_start(apart, np.flatnonzero(some))
+        found |= far if some is usable else far[::-1]
     steps = _steps(distances)
-    excesses = [_excesses(distances, steps, length) for length in range(1, LONGEST + 1)]
-    limits = [limit_of(one) for one in excesses]
+    known = Known.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
-    for one, limit in zip(excesses, limits, strict=True):
-        likely[1 : 1 + len(one)] |= (one > limit).any(1)
-    for known, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
-        far = _far_at_start(apart, np.flatnonzero(known))
-        found |= far if known is usable else far[::-1]
+    likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
     good = iter(np.flatnonzero(usable & ~found).tolist())
     last = next(good, frames)
     for frame in good:
@@ -91,65 +148,81 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
             continue
         length = 0
         if likely[frame] or last != frame - 1:
-            length = _length_of_jump(distances, steps, last, frame, usable, limits)
+            length = _length_of_jump(distances, steps, last, frame, usable, known)
             found[frame : frame + length] = True
         last = frame + length
     found &= usable
     return found if found.mean() <= _MOST else np.zeros_like(found)
 
 
+class _Steps(NamedTuple):
+    """Usual squared distances (F, rows) of consecutive frames before each frame and behind it.
+
+    Attributes:
+        around: (F - 2, rows), the longer of the steps nearest to the frames before and behind each frame.
+    """
+
+    before: SquaredDistances
+    after: SquaredDistances
+    around: SquaredDistances
+
+
 def _length_of_jump(
     distances: SquaredDistances,
-    steps: tuple[SquaredDistances, SquaredDistances],
+    steps: _Steps,
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
-    limits: list[SquaredDistances],
+    known: Known,
 ) -> int:
     """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
-    latest = frame  # of the jump
+    latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump, longest step between its frames
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
             break
         if not usable[back]:
             continue
-        into, out_of = distances[frame, frame - last - 1], distances[back, back - latest - 1]
-        usual = np.maximum(steps[0][last], steps[1][back])
-        far = excess(into, out_of, usual) > limits[length - 1]
-        if (far & returns(into, out_of, distances[back, back - last - 1], usual)).any():
+        ways = Ways(
+            distances[frame, frame - last - 1],
+            distances[back, back - latest - 1],
+            distances[back, back - last - 1],
+            within,
+            np.maximum(steps.before[last], steps.after[back]),
+        )
+        if is_jump(ways, known):
             return length
-        latest = back
+        latest, within = back, np.fmax(within, ways.out_of)
     return 0
 
 
-def _steps(distances: SquaredDistances) -> tuple[SquaredDistances, SquaredDistances]:
-    """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
+def _steps(distances: SquaredDistances) -> _Steps:
+    """Return the usual steps before and behind each frame.
 
-    It is the median over the recording where there are none. A frame that repeats another has no distance from it.
+    A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
+    is the longer of the nearest step and what is `ordinary` for the next eight, or the median over the recording where
+    nothing is known. A frame that repeats another has no distance from it.
     """
-    if len(distances) < 2:
-        return np.ones_like(distances[:, 0]), np.ones_like(distances[:, 0])
     median = np.median(distances[1:, 0], axis=0)
     distances = np.where(distances > 0, distances, np.float32(np.nan))
     before = np.fmin(distances[:, 0], distances[:, 1])
     after = np.full_like(before, np.nan)
     after[:-1] = distances[1:, 0]
     after[:-2] = np.fmin(after[:-2], distances[2:, 1])
-    return np.where(np.isnan(before), median, before), np.where(np.isnan(after), median, after)
+    before, after = (np.where(np.isnan(one), median, one) for one in (before, after))
+    around = np.maximum(before[:-2], after[2:])
+    return _Steps(np.maximum(before, _ordinary(before)), np.maximum(after, _ordinary(after[::-1])[::-1]), around)
 
 
-def _excesses(
-    distances: SquaredDistances, steps: tuple[SquaredDistances, SquaredDistances], length: int
-) -> SquaredDistances:
-    """Return the `excess` (F - length - 1, rows) of each run of `length` frames."""
-    back = np.arange(length + 1, len(distances))
-    last = back - length - 1
-    usual = np.maximum(steps[0][last], steps[1][back])
-    return excess(distances[last + 1, 0], distances[back, 0], usual)
+def _ordinary(steps: SquaredDistances) -> SquaredDistances:
+    """Return the level (F, rows) of `ordinary` for the last `NEARBY` steps (F, rows), of the first ones for these."""
+    if len(steps) < NEARBY:
+        return np.zeros_like(steps)
+    result = ordinary(np.lib.stride_tricks.sliding_window_view(steps, NEARBY, axis=0), axis=-1)
+    return np.concatenate((np.repeat(result[:1], NEARBY - 1, axis=0), result))
 
 
 def _far_at_start(distances: SquaredDistances, known: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -16,8 +16,8 @@ from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, known_of
-from fingerflow.tracker.points import STREAM, Points, Resolved
-from fingerflow.tracker.stream_frame_quality import MEASURED, USABLE, Blocks, FrameCheck
+from fingerflow.tracker.points import STREAM, Points
+from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
@@ -57,17 +57,17 @@ class TrackerSettings:
 
 
 class Frame:
-    """Input frame of a stream: contact view and topography view, block means and frame status.
+    """Input frame of a stream: contact view and topography view, samples and frame status.
 
     Attributes:
         number: of the frame; numbers increase but may have gaps.
         views: both views (1, 1, H, W) by name.
-        blocks, status: block means and status, set by `StreamTracker.inspect`.
+        picture, status: samples of the views and status, set by `StreamTracker.inspect`.
     """
 
     def __init__(self, views: Mapping[str, Array], number: int = 0) -> None:
         self.number, self.views = number, views
-        self.blocks: Blocks | None = None
+        self.picture: Picture | None = None
         self.status = USABLE
 
 
@@ -162,13 +162,6 @@ class _Unlearnt(NamedTuple):
     counts: bool
 
 
-class _Doubtful(NamedTuple):
-    """Deferred frame with tracked points: the next frame decides whether the deferred frame is usable."""
-
-    work: Work
-    resolved: Resolved
-
-
 class StreamTracker:
     """Tracker of a stream: state between frames, and the methods `begin`, `compute` and `finish` for each frame.
 
@@ -210,7 +203,7 @@ class StreamTracker:
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
-        self._doubtful: _Doubtful | None = None
+        self._deferred: deque[Work] = deque()  # frames that later ones decide about
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._unlearnt: deque[_Unlearnt] = deque()
@@ -230,8 +223,8 @@ class StreamTracker:
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
-        """Compute the block means of a frame, and the frame status from this frame alone; safe in any thread."""
-        frame.blocks, frame.status = self._check.look(frame.views)
+        """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
+        frame.picture, frame.status = self._check.look(frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
@@ -252,15 +245,15 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Begin to process a frame: return the `Work` of the frame, and the events and outcomes due before it.
+        """Begin to process a frame: return the `Work` of the frame, and the events due before it.
 
-        Events are a seeding or a new key frame; the outcome is that of a deferred frame.
+        Events are a seeding or a new key frame. They wait until no frame is deferred.
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
             assert not self.under_way
-            outcomes = self.settle(frame)
-            passed = [*self._make_changes(frame), *outcomes]
+            if not self._deferred:
+                passed += self._make_changes(frame)
         guess = self._guess(frame.number)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         measure = self.measures and self._search.wants(self._begun)
@@ -281,14 +274,20 @@ class StreamTracker:
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
         """Finish a computed frame, and return the frame outcomes and events that are now final.
 
-        The outcomes are that of a deferred frame before it, and its own unless it is deferred too.
+        The outcomes are those of deferred frames before it, and its own unless it is deferred too.
         """
-        passed: list[Event | FrameOutcome] = [*self.settle(work.frame)]
-        frame, points = work.frame, self._points
-        if points is None:  # no usable frame has come yet
+        passed: list[Event | FrameOutcome] = []
+        frame = work.frame
+        if self._points is None:  # no usable frame has come yet
             passed.append(self._skipped(work, frame.status))
         else:
-            passed += self._judged(work, points)
+            assert frame.picture is not None
+            decided, status = self._check.see(frame.number, frame.picture, frame.status)
+            passed += self._decided(decided, work.index)
+            if status is None:
+                self._deferred.append(work)
+            else:
+                passed.append(self._judged(work, status, work.index))
         while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
             passed += self._learn_threshold(*self._unlearnt.popleft())
         self._known[work.index] = self._latest
@@ -296,23 +295,13 @@ class StreamTracker:
         self._finished += 1
         return passed
 
-    def _judged(self, work: Work, points: Points) -> list[FrameOutcome]:
-        """Decide whether a frame is usable and return the outcome; the list is empty if the next frame must decide."""
-        frame, resolved = work.frame, None
-        tracked, elsewhere = 0, False
-        if work.found is not None and work.guess is not None and frame.status in MEASURED:
-            image = work.images[TOPOGRAPHY_VIEW]
-            resolved = points.resolve(image, work.guess, work.found, self._ahead(frame.number))
-            tracked, elsewhere = _tracked(resolved.corrected.found), resolved.elsewhere
-        assert frame.blocks is not None
-        status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
-        if status is not None and status != USABLE:
-            return [self._skipped(work, status)]
-        assert resolved is not None  # points are tracked in every frame that may count
-        if status is None:
-            self._doubtful = _Doubtful(work, resolved)
-            return []
-        return [self._accepted(work, resolved)]
+    def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
+        """Track the points of a frame that counts, and return its outcome; `newest` is the index of the latest one."""
+        return self._accepted(work, newest) if status == USABLE else self._skipped(work, status)
+
+    def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
+        """Return the outcomes of the deferred frames with these statuses."""
+        return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
@@ -331,20 +320,9 @@ class StreamTracker:
         """Return the slip flag after the last frame with results: whether skin in contact slips."""
         return self._results.slipping
 
-    def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
-        """Decide whether the deferred frame is usable once the next frame has arrived, and return the outcome.
-
-        `following` is None if there is no successor. The deferred frame gives no threshold, reseeding or key frame:
-        later frames may have begun, and their inputs must not depend on how far they have got.
-        """
-        if self._doubtful is None:
-            return []
-        (work, resolved), self._doubtful = self._doubtful, None
-        usable = following is not None and following.status == USABLE
-        status = self._check.settle(following.blocks if usable and following is not None else None)
-        if status != USABLE:
-            return [self._skipped(work, status)]
-        return [self._accepted(work, resolved, late=True)]
+    def settle(self) -> list[FrameOutcome]:
+        """Return the outcomes of the frames that are deferred at the end of the stream."""
+        return self._decided(self._check.settle(), self._begun - 1)
 
     def _guess(self, number: int) -> Array | None:
         """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
@@ -436,12 +414,19 @@ class StreamTracker:
         self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
-    def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> FrameOutcome:
-        assert self._points is not None
-        frame, index = work.frame, work.index
-        # A deferred frame is accepted when its successor ends; by then another frame may have begun.
-        found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index + late)
-        self._latest = _Known(self._points.motion, frame.number)
+    def _accepted(self, work: Work, newest: int) -> FrameOutcome:
+        """Recover lost points of a usable frame, update points and templates, and return the outcome.
+
+        A deferred frame gives no threshold, reseeding or key frame: later frames may have begun, and their inputs must
+        not depend on how far they have got.
+        """
+        points, frame, late = self._points, work.frame, newest > work.index
+        assert points is not None
+        assert work.found is not None  # points are tracked in every frame that may count
+        assert work.guess is not None
+        image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
+        found = points.accept(image, points.resolve(image, work.guess, work.found, ahead), ahead, newest)
+        self._latest = _Known(points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
             # The first threshold that is measured applies at once, as there is no other.
@@ -450,11 +435,11 @@ class StreamTracker:
             work.threshold = self._first_threshold
         self._unlearnt.append(_Unlearnt(frame.number, work, not late))
         if self._change is None and not late:
-            cause = PAGE if self._asked else self._upkeep.see(index, frame.number, tracked)
+            cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
             if cause:
                 self._asked = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
-                self._change = _Change(index, frame.number, image, found.points[0].copy(), cause)
+                self._change = _Change(newest, frame.number, image, found.points[0].copy(), cause)
         return self._outcome(work, USABLE, found, tracked)
 
     def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:

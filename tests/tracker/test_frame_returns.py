@@ -50,7 +50,7 @@ def test_distances_are_those_of_the_definition(skin: Frames) -> None:
     even = skin / skin.mean((1, 2), keepdims=True)
     off = np.minimum(np.abs(even[20] - even[18]), 0.3)
     light = np.log(skin[20].mean() / skin[18].mean())
-    expected = [(off[36:48].mean() / 3e-3) ** 2, (off.mean() / 3e-3) ** 2, (light / 0.15) ** 2]
+    expected = [(off[36:48].mean() / 6e-3) ** 2, (off.mean() / 6e-3) ** 2, (light / 0.15) ** 2]
     # Single precision, of differences of some hundredths of the mean.
     np.testing.assert_allclose(got[20, 1, [3, 8, 9]], expected, rtol=1e-4, atol=1e-8)
     assert np.isnan(got[1, 1]).all()
@@ -113,7 +113,13 @@ def copied(frames: Frames) -> list[int]:
 
 @pytest.mark.parametrize(
     ("places", "sources"),
-    [([30], [29]), ([30, 31], [29, 29]), ([30, 31, 32], [29, 29, 29]), ([30, 31], [15, 16]), ([77, 78, 79], [37, 38, 39])],
+    [
+        ([30], [29]),
+        ([30, 31], [29, 29]),
+        ([30, 31, 32], [29, 29, 29]),
+        ([30, 31], [15, 16]),
+        ([77, 78, 79], [37, 38, 39]),
+    ],
 )
 def test_a_copy_of_an_earlier_or_later_frame_is_found(skin: Frames, places: list[int], sources: list[int]) -> None:
     frames = skin.copy()

@@ -17,7 +17,7 @@ from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, LOADING
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
-from tests.small_trials import SPOILED, dim_contact, edit_scene, warnings_of
+from tests.small_trials import SPOILED, dim_contact, edit_scene, other_noise, warnings_of
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
@@ -30,18 +30,13 @@ def _of_itself(spoil: Callable[[Frame], Frame], frames: Frame, k: int) -> Frame:
     return spoil(frames[k])
 
 
-def _other_noise(frame: Frame, k: int) -> Frame:
-    """The last bit is drawn anew, so that the frame is no copy."""
-    return frame ^ np.random.default_rng(k).integers(0, 2, frame.shape, frame.dtype)
-
-
 FAR = "jumps_and_returns"
 #: What becomes of frame k of all (F, H, W), and the status that says so.
 KINDS: dict[str, tuple[Callable[[Frame, int], Frame], str]] = {
     **{name: (partial(_of_itself, spoil), status) for name, (spoil, status) in SPOILED.items()},
     "dim topography view": (lambda frames, k: np.roll(dim_contact(np.roll(frames[k], WIDTH, 1)), WIDTH, 1), FAR),
     "noise": (lambda frames, k: np.random.default_rng(k).integers(0, 256, frames[k].shape), FAR),
-    "other moment": (lambda frames, k: _other_noise(frames[(k + FRAMES // 2) % FRAMES], k), FAR),
+    "other moment": (lambda frames, k: other_noise(frames[(k + FRAMES // 2) % FRAMES], k), FAR),
 }
 OF_FORCES = {variable.name for variable in LOADING}
 AREAS = ("real_contact_area", "gross_contact_area", "contact_threshold")
