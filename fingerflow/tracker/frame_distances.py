@@ -15,7 +15,7 @@ LONGEST = 3
 _LINES, _PIXELS = 64, 160  # lines, and pixels of a line, that are read; up to twice as many
 _BANDS = 8  # groups of lines that are compared apart: a tear, or lost lines, lie in a few of them
 # Units of distance, the least that counts: noise lies below the first; `illumination_gain` handles smaller changes.
-_LEAST, _LEAST_LIGHT = 6e-3, 0.15
+_LEAST, _LEAST_LIGHT = 1e-2, 0.15
 _MOST = 0.3  # difference of a pixel, in units of the mean, beyond which it counts as this: salt and pepper
 _TINY = np.finfo(np.float32).tiny
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ NEARBY = 8  # steps before, and behind, from which it is known what is ordinary
 _JERK = 2.0  # more of an excess that moving skin may have: one step of 1.8 times the ordinary ones
 _USUAL, _SLOW = 0.9, 0.1  # quantiles: of the excess that is taken as usual, of the steps that are noise
 _BACK = 0.6  # share of the longer way, there or back, below which the rest between both ends is a return
-_FAR_AT_END = 2.25  # limit for the first and last frame, with neighbours on one side only
+_LEAST_AT_END = 1.25  # of an excess in the first and last frames, behind which nothing is known
 _MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
 SquaredDistances = NDArray[Any]
 
@@ -115,9 +115,9 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
     shifted or of another brightness, is far from both neighbours, while these are as close to the frames beyond them as
-    ever, and closer to each other (`is_jump`). Up to `LONGEST` such frames in a row are found. The first and the last
-    frame have neighbours on one side only, and are marked if they are 1.5 times as far from them as these from each
-    other.
+    ever, and closer to each other (`is_jump`). Up to `LONGEST` such frames in a row are found. As many at the beginning
+    and at the end are marked where they are further from all others than they may be: no frames tell whether the image
+    returns.
 
     At 300 frames/s a vibration of 40 to 150 Hz returns as fast. A lasting one raises what is usual, or is found in more
     than a tenth of the frames.
@@ -133,11 +133,10 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     found = np.zeros(frames, dtype=bool)
     if frames < 2:
         return found
-    for some, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
-        far = _far_at_start(apart, np.flatnonzero(some))
-        found |= far if some is usable else far[::-1]
     steps = _steps(distances)
     known = Known.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
+    found |= _far_at_end(distances, usable, steps.before, known)
+    found |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], known)[::-1]
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
@@ -225,15 +224,24 @@ def _ordinary(steps: SquaredDistances) -> SquaredDistances:
     return np.concatenate((np.repeat(result[:1], NEARBY - 1, axis=0), result))
 
 
-def _far_at_start(distances: SquaredDistances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Mark the first usable frame in a mask (F,) if it is far from the next three frames, which are close together."""
+def _far_at_end(
+    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Known
+) -> NDArray[np.bool_]:
+    """Mark up to the last `LONGEST` usable frames in a mask (F,): those behind a step that is far longer than others.
+
+    Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
+    """
     result = np.zeros(len(distances), dtype=bool)
-    first, *after = known[:4].tolist() or [0]
-    if len(after) == 3 and after[-1] - first <= LONGEST + 1:
-        away = np.min([distances[k, k - first - 1] for k in after], axis=0)
-        among = np.max([distances[k, k - j - 1] for j, k in combinations(after, 2)], axis=0)
-        result[first] = (away > _FAR_AT_END * np.maximum(among, 1)).any()
-    return result
+    last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
+    if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
+        steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
+        limit = Known(known.noise, np.fmax(known.limit, _LEAST_AT_END))
+        for k, step in enumerate(steps):
+            behind = steps[k + 1 :].max(0, initial=0)  # a finger that has begun to move goes on
+            if is_far(step, np.maximum(usual[last[k]], behind), limit):
+                result[last[k + 1] :] = True
+                break
+    return result & usable
 
 
 def _reversed(distances: SquaredDistances) -> SquaredDistances:

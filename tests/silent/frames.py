@@ -1,26 +1,31 @@
 """Bad frames of a slide, a few in a row: recorded with default settings, and live.
 
 Each case spoils some frames at several places of a slide. The number is how many of them are excluded, and the largest
-departure of all others from the clean run over the stated deviation: of energy and median divergence (recorded), of
-median divergence (live). Frames that are not excluded are wrong in silence unless they, too, keep within three
-deviations. At the end, clean recordings, of which no frame may be excluded.
+departure of all others from the clean run over the stated deviation: of energy, median divergence and the displacement
+of most points (recorded), of median divergence (live). Frames that are not excluded are wrong in silence unless they,
+too, keep within three deviations. A copy that fits where it stands is excluded together with its original: neither is
+recognised as the copy. At the end, clean recordings, of which no frame may be excluded.
 """
 
 import contextlib
 import io
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.suites.prints import DPI, FINGERS
 from fingerflow import load_scene, player, process
 from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
-from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
+from fingerflow.synthetic import PartialSlip, Press, Slide, SyntheticScene, scene_of_print, write_recording
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
 from fingerflow.tracker.frame_distances import Samples, squared_distances_before
@@ -31,7 +36,8 @@ from tests.small_trials import recipe_of_trials, scene_beside, warnings_of, writ
 Array = np.ndarray[Any, Any]
 Frames = Array
 
-SLIDE = Slide(frame_shape=(192, 480), semi_axes=(2.1, 1.7), finger=(2.9, 2.4), creep=0.45, travel=0.8)
+_SMALL: dict[str, Any] = {"frame_shape": (192, 480), "semi_axes": (2.1, 1.7), "finger": (2.9, 2.4)}
+SLIDE = Slide(**_SMALL, creep=0.45, travel=0.8)
 PLACES = (45, 90, 120, 150, 220, 260)  # where the skin creeps, as the contact begins to slip, and as it travels
 
 
@@ -125,7 +131,12 @@ def recorded(folder: Path) -> Iterator[Case]:
         for name in ("strain_energy", "median_divergence"):
             deviation = np.hypot(found[f"{name}_std"].values, clean[f"{name}_std"].values)
             off = np.fmax(off, np.abs(found[name].values - clean[name].values) / np.maximum(deviation, 1e-12))
-        yield _judged("recorded", fault, bad, found["frame_status"].values, off, warnings_of(found))
+        if fault.places[0] > 0:  # the same points
+            moved = np.abs(found["displacement"].values - clean["displacement"].values).max(2)
+            deviation = np.hypot(found["displacement_std"].values, clean["displacement_std"].values)
+            with warnings.catch_warnings(action="ignore"):  # frames without a point
+                off = np.fmax(off, np.nanmedian(moved / np.maximum(deviation, 1e-12), axis=1))
+        yield _judged("recorded", fault, bad, bad_frames, found["frame_status"].values, off, warnings_of(found))
 
 
 def live(folder: Path) -> Iterator[Case]:
@@ -147,34 +158,46 @@ def live(folder: Path) -> Iterator[Case]:
         if fault.live:
             found = play(bad_frames)
             off = np.abs(found["median_divergence"] - clean["median_divergence"]) / LIVE_DEVIATION
-            yield _judged("live", fault, bad, found["frame_status"], off, "frame_status")
+            yield _judged("live", fault, bad, bad_frames, found["frame_status"], off, "frame_status")
 
 
 LIVE_DEVIATION = 1.7e-3  # error of the median divergence that docs/accuracy.md states: a stream gives no deviation
 
 
-def _judged(kind: str, fault: Fault, bad: list[int], status: Array, off: Array, said: str) -> Case:
+def _judged(kind: str, fault: Fault, bad: list[int], frames: Frames, status: Array, off: Array, said: str) -> Case:
     excluded = np.flatnonzero(status)
-    kept, false = np.setdiff1d(bad, excluded), np.setdiff1d(excluded, bad)
-    others = np.setdiff1d(np.arange(len(status)), [*bad, *false])
+    kept = np.setdiff1d(bad, excluded)
+    others = np.setdiff1d(np.arange(len(status)), bad)
+    originals = [k for k in np.setdiff1d(excluded, bad) if any(np.array_equal(frames[k], frames[one]) for one in bad)]
+    false = np.setdiff1d(excluded, [*bad, *originals])
     worst, left = (np.nanmax(off[some], initial=0) for some in (others, kept))
-    number = f"{len(bad) - len(kept)} of {len(bad)} excluded, {len(false)} others, others {worst:.1f} deviations off"
+    number = f"{len(bad) - len(kept)} of {len(bad)} excluded, others {worst:.1f} deviations off"
     names = ", ".join(sorted({FRAME_STATUS[one] for one in status[excluded]})) or "usable"
-    if len(kept):
-        names += f"; {len(kept)} kept, {left:.1f} deviations off"
+    names += f"; {len(kept)} kept, {left:.1f} deviations off" if len(kept) else ""
+    names += f"; {len(originals)} originals excluded" if originals else ""
     wrong = worst > 3 or left > 3 or len(false) > 0 or (len(excluded) > 0 and "frame_status" not in said)
     told = "told" if not len(kept) else "within deviations"
     return Case(f"{kind}: {fault.frames} {fault.case}", number, "0 deviations", names, "wrong" if wrong else told)
 
 
+#: Frames of a real clip that are far from both neighbours: its exposure steps by 25 % and the picture is not whole.
+KNOWN = {"grasp_bag_of_peanuts.avi": [0, 32]}
+
+
 def without_fault(folder: Path) -> Iterator[Case]:
     """Yield recordings without a fault, of which no frame may be excluded."""
-    for name, trial in {"press": Press(), "slide": Slide(), "partial slip": PartialSlip()}.items():
-        write_recording(folder / name, trial)
-        frames = np.load(folder / name / "frames.npy")
+    trials: dict[str, SyntheticScene] = {"press": Press(), "slide": Slide(), "partial slip": PartialSlip()}
+    for path in sorted(FINGERS.glob("*.tif")):
+        for kind in (Press, Slide):
+            trials[f"{kind.__name__.lower()} of {path.stem}"] = replace(scene_of_print(kind, path, DPI), **_SMALL)
+    for name, trial in trials.items():
+        write_recording(folder / f"clean {name}", trial)
+        frames = np.load(folder / f"clean {name}" / "frames.npy")
         yield _clean(name, *np.split(frames, 2, axis=2))
-        shutil.rmtree(folder / name)
-    data = Path(__file__).resolve().parents[3] / "shared" / "data"
+        shutil.rmtree(folder / f"clean {name}")
+    write_gel_recording(folder / "gel", MarkerGel())
+    yield _clean("soft sensor", np.load(folder / "gel" / "frames.npy"))
+    data = FINGERS.parent
     for path in sorted([*data.glob("cine/*raw*.cine"), *data.glob("mraw/*.cih"), *data.glob("tactile/*.avi")]):
         with open_recording(path) as recording:
             frames = recording.read()
@@ -185,7 +208,7 @@ def _clean(name: str, *views: Frames) -> Case:
     distances = np.concatenate([squared_distances_before(Samples.of(view), None) for view in views], axis=2)
     keys = [key_of(blocks) for blocks in zip(*(block_means(view).blocks for view in views), strict=True)]
     copied = copies(keys, distances, np.ones(len(keys), dtype=bool))
-    excluded = np.flatnonzero(copied | jumps_and_returns(distances, ~copied))
+    excluded = np.setdiff1d(np.flatnonzero(copied | jumps_and_returns(distances, ~copied)), KNOWN.get(name, []))
     verdict = "false alarm" if len(excluded) else "right"
     said = ", ".join(map(str, excluded)) or "usable"
     return Case(f"no fault: {name}", f"{len(excluded)} of {len(keys)} excluded", "0", said, verdict)

@@ -50,7 +50,7 @@ def test_distances_are_those_of_the_definition(skin: Frames) -> None:
     even = skin / skin.mean((1, 2), keepdims=True)
     off = np.minimum(np.abs(even[20] - even[18]), 0.3)
     light = np.log(skin[20].mean() / skin[18].mean())
-    expected = [(off[36:48].mean() / 6e-3) ** 2, (off.mean() / 6e-3) ** 2, (light / 0.15) ** 2]
+    expected = [(off[36:48].mean() / 1e-2) ** 2, (off.mean() / 1e-2) ** 2, (light / 0.15) ** 2]
     # Single precision, of differences of some hundredths of the mean.
     np.testing.assert_allclose(got[20, 1, [3, 8, 9]], expected, rtol=1e-4, atol=1e-8)
     assert np.isnan(got[1, 1]).all()
