@@ -184,7 +184,7 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
 def test_frames_of_another_moment_count_in_no_number(small: Small, count: int) -> None:
     """Their points are found, as the skin has hardly moved: the frame behind them tells. So do copies, at once."""
     for noise, status in ((other_noise, "jumps_and_returns"), (lambda frame, _: frame, "repeated")):
-        frames, places = small.frames.copy(), [first + k for first in (18, 41, 55) for k in range(count)]
+        frames, places = small.frames.copy(), [first + k for first in (30, 41, 55) for k in range(count)]
         for k in places:
             frames[k] = noise(small.frames[k - 15], k)
         played = small.play(frames)
