@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, known_of
 from fingerflow.tracker.points import STREAM, Points
@@ -254,7 +255,7 @@ class StreamTracker:
             assert not self.under_way
             if not self._deferred:
                 passed += self._make_changes(frame)
-        guess = self._guess(frame.number)
+        guess = self._guess(self._begun, frame.number)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         measure = self.measures and self._search.wants(self._begun)
         self._begun += 1
@@ -291,13 +292,15 @@ class StreamTracker:
         while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
             passed += self._learn_threshold(*self._unlearnt.popleft())
         self._known[work.index] = self._latest
-        self._known.pop(work.index - self.lag, None)
+        self._known.pop(work.index - self.lag - LONGEST, None)
         self._finished += 1
         return passed
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Track the points of a frame that counts, and return its outcome; `newest` is the index of the latest one."""
-        return self._accepted(work, newest) if status == USABLE else self._skipped(work, status)
+        outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status)
+        self._known[work.index] = self._latest
+        return outcome
 
     def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
         """Return the outcomes of the deferred frames with these statuses."""
@@ -324,15 +327,15 @@ class StreamTracker:
         """Return the outcomes of the frames that are deferred at the end of the stream."""
         return self._decided(self._check.settle(), self._begun - 1)
 
-    def _guess(self, number: int) -> Array | None:
+    def _guess(self, index: int, number: int) -> Array | None:
         """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
-        known = self._known.get(self._begun - self.lag, self._latest)
+        known = self._known.get(index - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
     def _know(self, motion: _Known) -> None:
         """Set the point motion used for the next predictions, as if it had been known for `lag` frames."""
         self._latest = motion
-        self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
+        self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
 
     def _ahead(self, number: int) -> int:
         return max(1, number - self._latest.number) if self._latest is not None else 1
@@ -422,10 +425,10 @@ class StreamTracker:
         """
         points, frame, late = self._points, work.frame, newest > work.index
         assert points is not None
-        assert work.found is not None  # points are tracked in every frame that may count
-        assert work.guess is not None
         image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
-        found = points.accept(image, points.resolve(image, work.guess, work.found, ahead), ahead, newest)
+        resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
+        # No later frame has begun if they begin one by one, which a deferral does not change.
+        found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
         self._latest = _Known(points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
@@ -441,6 +444,21 @@ class StreamTracker:
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
                 self._change = _Change(newest, frame.number, image, found.points[0].copy(), cause)
         return self._outcome(work, USABLE, found, tracked)
+
+    def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
+        """Return the positions (N, 2) predicted in a frame, and the points found near them.
+
+        The motion, and new templates, were not known when a frame began behind a deferred one: its points are tracked
+        once more.
+        """
+        assert work.guess is not None  # points are tracked in every frame that may count
+        assert work.found is not None
+        guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
+        assert guess is not None
+        if not changes and np.array_equal(guess, work.guess, equal_nan=True):
+            return work.guess, work.found
+        points.update_due(work.index)
+        return guess, points.look(work.images[TOPOGRAPHY_VIEW], guess)
 
     def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:
         threshold = work.threshold if status == USABLE else math.nan
