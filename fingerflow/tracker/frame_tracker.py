@@ -154,10 +154,11 @@ class _Change(NamedTuple):
 class _Unlearnt(NamedTuple):
     """Frame whose measured contact threshold has not been taken into account yet.
 
-    Only a frame that `counts` may set the threshold. It stores the number of the frame, because a `Frame` with results
-    is reused for another image.
+    Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided. It
+    stores the number of the frame, because a `Frame` with results is reused for another image.
     """
 
+    newest: int
     number: int
     work: Work
     counts: bool
@@ -280,7 +281,7 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = []
         frame = work.frame
         if self._points is None:  # no usable frame has come yet
-            passed.append(self._skipped(work, frame.status))
+            passed.append(self._skipped(work, frame.status, work.index))
         else:
             assert frame.picture is not None
             decided, status = self._check.see(frame.number, frame.picture, frame.status)
@@ -289,8 +290,8 @@ class StreamTracker:
                 self._deferred.append(work)
             else:
                 passed.append(self._judged(work, status, work.index))
-        while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
-            passed += self._learn_threshold(*self._unlearnt.popleft())
+        while self._unlearnt and self._unlearnt[0].newest <= work.index - _LEARNT_AFTER:
+            passed += self._learn_threshold(self._unlearnt.popleft())
         self._known[work.index] = self._latest
         self._known.pop(work.index - self.lag - LONGEST, None)
         self._finished += 1
@@ -298,7 +299,7 @@ class StreamTracker:
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Track the points of a frame that counts, and return its outcome; `newest` is the index of the latest one."""
-        outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status)
+        outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
         self._known[work.index] = self._latest
         return outcome
 
@@ -412,18 +413,18 @@ class StreamTracker:
 
     # Outcome of a frame.
 
-    def _skipped(self, work: Work, status: int) -> FrameOutcome:
+    def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
-        self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
+        self._unlearnt.append(_Unlearnt(newest, work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, newest: int) -> FrameOutcome:
         """Recover lost points of a usable frame, update points and templates, and return the outcome.
 
-        A deferred frame gives no threshold, reseeding or key frame: later frames may have begun, and their inputs must
-        not depend on how far they have got.
+        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`: later ones may
+        have begun, and their inputs must not depend on how far they have got.
         """
-        points, frame, late = self._points, work.frame, newest > work.index
+        points, frame = self._points, work.frame
         assert points is not None
         image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
         resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
@@ -436,8 +437,8 @@ class StreamTracker:
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_Unlearnt(frame.number, work, not late))
-        if self._change is None and not late:
+        self._unlearnt.append(_Unlearnt(newest, frame.number, work, True))
+        if self._change is None:
             cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
             if cause:
                 self._asked = False
@@ -473,16 +474,17 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_threshold(self, number: int, work: Work, counts: bool) -> list[Event]:
+    def _learn_threshold(self, one: _Unlearnt) -> list[Event]:
         if not self.measures:
             return []
-        if not counts:
-            if work.measured is not None:
+        measured = one.work.measured
+        if not one.counts:
+            if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact_of(work).real_area_px[0])
-        if self._search.see(work.index, area, work.measured) and work.measured is not None:
-            return [Event("threshold", number, {"threshold": work.measured})]
+        area = float(self._contact_of(one.work).real_area_px[0])
+        if self._search.see(one.newest, area, measured) and measured is not None:
+            return [Event("threshold", one.number, {"threshold": measured})]
         return []
 
 
