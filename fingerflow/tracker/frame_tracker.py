@@ -154,8 +154,8 @@ class _Change(NamedTuple):
 class _Unlearnt(NamedTuple):
     """Frame whose measured contact threshold has not been taken into account yet.
 
-    Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided. It
-    stores the number of the frame, because a `Frame` with results is reused for another image.
+    Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided.
+    The number of the frame is stored, because a `Frame` with results is reused for another image.
     """
 
     newest: int
