@@ -1,4 +1,4 @@
-"""Image distances between frames, computed from samples of their pixels: of the image pattern and of the light."""
+"""Distances between frames, computed from samples of their pixels: in image pattern and in overall light."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ Values = NDArray[np.floating]
 def border_energy(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """Return the energy per depth (n,), mJ/mm, in a strip along the contact border, as wide as the border is uncertain.
+    """Return the strain energy per depth (n,), mJ/mm, in a border strip as wide as the border position is uncertain.
 
     The strip has the mean energy density of the triangles within `reach_mm` of the border; 0 where there are none.
 
