@@ -43,9 +43,9 @@ class FrameCheck:
     - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
       compared, and only if no more than a fifth of the last frames repeat others.
     - Jumps and returns: the rule of a recording (`frame_returns.is_jump`). A frame far from the last usable one is
-      deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then all of them count,
-      as the motion of the skin, or a change that stays. After three returns in the last 16 frames a finger is taken to
-      vibrate, and such frames count. Deferred frames at the end of a stream do not count.
+      deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
+      motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
+      16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end of a stream do not count.
 
     `process` also knows later frames: the motion behind a jump, and which of two equal frames is the copy.
 
@@ -91,51 +91,57 @@ class FrameCheck:
             picture, status: results of `look`.
 
         Returns:
-            The statuses of the deferred frames, in order, empty if they stay deferred or there are none; and that of
-            this frame, None if it is deferred itself.
+            The statuses of the first deferred frames, in order, empty if all stay deferred or there are none; and that
+            of this frame, None if it is deferred itself.
         """
         self._without_lines = self._without_lines + 1 if status == _JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
         if status == USABLE and self._repeats(picture.key):
             status = _REPEATED
-        frame = _Seen(number, picture, status)
-        if status != USABLE:
+        return self._judged(_Seen(number, picture, status))
+
+    def _judged(self, frame: _Seen) -> tuple[list[int], int | None]:
+        if frame.status != USABLE:
             if self._deferred:
                 self._deferred.append(frame)
                 return [], None
-            return [], status
-        decided: list[int] = []
-        if self._deferred:
-            if self._comes_back(frame):
-                self._returned.append(True)
-                return self._settled(_JUMPS, frame), USABLE
-            if number - self._deferred[0].number < LONGEST:
+            return [], frame.status
+        if not self._deferred:
+            if self._is_far(frame):
                 self._deferred.append(frame)
                 return [], None
-            decided = self._settled(USABLE, *[one for one in self._deferred if one.status == USABLE])
-        if self._is_far(frame):
+            self._count(frame)
+            return [], USABLE
+        if self._comes_back(frame):
+            self._returned.append(True)
+            decided = self.settle()
+            self._count(frame)
+            return decided, USABLE
+        if frame.number - self._deferred[0].number < LONGEST:
             self._deferred.append(frame)
-            return decided, None
-        self._count(frame)
-        return decided, USABLE
+            return [], None
+        # The first of them has come to stay; those behind it are judged anew.
+        first, *others = self._deferred
+        self._deferred = []
+        self._count(first)
+        decided = [USABLE]
+        for one in others:
+            before, status = self._judged(one)
+            decided += before if status is None else [*before, status]
+        before, status = self._judged(frame)
+        return [*decided, *before], status
 
     def settle(self) -> list[int]:
-        """Return the statuses of the deferred frames at the end of a stream."""
-        return self._settled(_JUMPS)
+        """End the deferral of all frames, which do not count, and return their statuses."""
+        result = [_JUMPS if one.status == USABLE else one.status for one in self._deferred]
+        self._deferred = []
+        return result
 
     def _repeats(self, key: bytes) -> bool:
         same = key in self._keys
         self._same.append(same)
         return same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same)
-
-    def _settled(self, status: int, *counting: _Seen) -> list[int]:
-        """End the deferral of frames with a status, go on from those that count, and return their statuses."""
-        result = [status if one.status == USABLE else one.status for one in self._deferred]
-        self._deferred = []
-        for one in counting:
-            self._count(one)
-        return result
 
     def _count(self, frame: _Seen) -> None:
         if self._last is not None and frame.number == self._last.number + 1:

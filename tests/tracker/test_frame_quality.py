@@ -65,6 +65,16 @@ def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
     assert found == ["usable"] * 30 + ["jumps_and_returns"] * length + ["usable"] * (20 - length)
 
 
+@pytest.mark.parametrize("behind", [1, 2, 3])
+def test_a_bad_frame_behind_a_jump_of_the_skin_is_told(behind: int) -> None:
+    """The jump is in doubt until three more frames have come, one of which is of other skin."""
+    skin = _skin()
+    skins = [_moved(skin, 2 + 0.1 * k + 5 * (k >= 20)) for k in range(40)]
+    skins[20 + behind] = _skin(3)[:, :240]
+    found = _statuses(skins)
+    assert [k for k, one in enumerate(found) if one != "usable"] == [20 + behind]
+
+
 def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
     """The fourth of sixteen frames that come back is motion; one behind which nothing is known does not count."""
     place, away = _skin(2)[:, :240], _skin(3)[:, :240]
