@@ -45,7 +45,7 @@ class FrameCheck:
     - Jumps and returns: the rule of a recording (`frame_returns.is_jump`). A frame far from the last usable one is
       deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
       motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
-      16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end of a stream do not count.
+      16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end do not count.
 
     `process` also knows later frames: the motion behind a jump, and which of two equal frames is the copy.
 
