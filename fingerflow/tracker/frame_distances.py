@@ -20,7 +20,7 @@ _MOST = 0.3  # difference of a pixel, in units of the mean, beyond which it coun
 _TINY = np.finfo(np.float32).tiny
 
 
-class Samples(NamedTuple):
+class PixelSamples(NamedTuple):
     """Sampled pixels (n, lines, pixels) of n frames over the mean of their frame, and the logarithm (n,) of this mean.
 
     The division removes the flicker of a lamp.
@@ -30,7 +30,7 @@ class Samples(NamedTuple):
     light: Array
 
     @classmethod
-    def of(cls, frames: Array) -> Samples:
+    def of(cls, frames: Array) -> PixelSamples:
         """Sample frames (n, H, W); pixels that are not finite count as 0."""
         down, along = max(1, frames.shape[1] // _LINES), max(1, frames.shape[2] // _PIXELS)
         pixels = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float32)
@@ -40,21 +40,21 @@ class Samples(NamedTuple):
         pixels /= mean[:, None, None]
         return cls(pixels, np.log(mean))
 
-    def rows(self, some: slice) -> Samples:
+    def rows(self, some: slice) -> PixelSamples:
         """Return the samples of some of the frames."""
-        return Samples(self.pattern[some], self.light[some])
+        return PixelSamples(self.pattern[some], self.light[some])
 
-    def last(self, frames: int, before: Samples | None) -> Samples:
+    def last(self, frames: int, before: PixelSamples | None) -> PixelSamples:
         """Return the samples of the last `frames` frames, of these and those `before` them."""
         every = self if before is None or len(self.light) >= frames else self.after(before)
-        return Samples(*(one[-frames:].copy() for one in every))
+        return PixelSamples(*(one[-frames:].copy() for one in every))
 
-    def after(self, before: Samples) -> Samples:
+    def after(self, before: PixelSamples) -> PixelSamples:
         """Return the samples of the frames `before` and of these."""
-        return Samples(*map(np.concatenate, zip(before, self, strict=True)))
+        return PixelSamples(*map(np.concatenate, zip(before, self, strict=True)))
 
 
-def squared_distances(samples: Samples, before: Samples) -> Array:
+def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
     """Return the squared image distances (n, bands + 2) between pairs of frames, in squared units of the least.
 
     A distance is the mean absolute difference of the patterns, of each band of lines and, in the last place but one, of
@@ -74,7 +74,7 @@ def squared_distances(samples: Samples, before: Samples) -> Array:
     return np.square(result, out=result)
 
 
-def squared_distances_before(samples: Samples, before: Samples | None) -> Array:
+def squared_distances_before(samples: PixelSamples, before: PixelSamples | None) -> Array:
     """Return the squared distances (n, LONGEST + 1, rows) of n frames from each of the `LONGEST` + 1 preceding frames.
 
     Rows are those of `squared_distances`. They are NaN where there is no such frame. `before` has the samples of the

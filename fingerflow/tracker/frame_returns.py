@@ -40,7 +40,7 @@ class Ways(NamedTuple):
     usual: SquaredDistances
 
 
-class Known(NamedTuple):
+class Ordinary(NamedTuple):
     """What is known of ordinary frames of a recording, or of a stream so far: two squared distances (rows,).
 
     Attributes:
@@ -52,14 +52,14 @@ class Known(NamedTuple):
     limit: SquaredDistances
 
     @classmethod
-    def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Known:
+    def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
         """Measure both from the steps (n, rows) of consecutive frames and the excesses (m, rows) of single frames."""
         usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
         limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
         return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
 
 
-def is_jump(ways: Ways, known: Known) -> bool:
+def is_jump(ways: Ways, known: Ordinary) -> bool:
     """Return whether the image jumps and returns in some row.
 
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
@@ -76,7 +76,7 @@ def is_jump(ways: Ways, known: Known) -> bool:
     return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
 
 
-def is_far(step: SquaredDistances, usual: SquaredDistances, known: Known | None = None) -> bool:
+def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
     """Return whether the image may jump with a frame in some row: its step is longer than usual ones nearby.
 
     Without what is `known` of other frames, by the least excess that may count.
@@ -85,7 +85,7 @@ def is_far(step: SquaredDistances, usual: SquaredDistances, known: Known | None 
     return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _limit(usual, known))).any())
 
 
-def _limit(usual: SquaredDistances, known: Known) -> SquaredDistances:
+def _limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
     """Return the limits (..., rows) of an excess over usual steps."""
     moving = 1 - np.clip(known.noise, 1, usual) / usual
     result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
@@ -134,7 +134,7 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     if frames < 2:
         return found
     steps = _steps(distances)
-    known = Known.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
+    known = Ordinary.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
     found |= _far_at_end(distances, usable, steps.before, known)
     found |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], known)[::-1]
     # Frames with which a jump may begin, by comparison with the frame right before them.
@@ -172,7 +172,7 @@ def _length_of_jump(
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
-    known: Known,
+    known: Ordinary,
 ) -> int:
     """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
@@ -225,7 +225,7 @@ def _ordinary(steps: SquaredDistances) -> SquaredDistances:
 
 
 def _far_at_end(
-    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Known
+    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Ordinary
 ) -> NDArray[np.bool_]:
     """Mark up to the last `LONGEST` usable frames in a mask (F,): those behind a step that is far longer than others.
 
@@ -235,7 +235,7 @@ def _far_at_end(
     last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
-        limit = Known(known.noise, np.fmax(known.limit, _LEAST_AT_END))
+        limit = Ordinary(known.noise, np.fmax(known.limit, _LEAST_AT_END))
         for k, step in enumerate(steps):
             behind = steps[k + 1 :].max(0, initial=0)  # a finger that has begun to move goes on
             if is_far(step, np.maximum(usual[last[k]], behind), limit):

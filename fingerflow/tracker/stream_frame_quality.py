@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, key_of
-from fingerflow.tracker.frame_distances import LONGEST, Samples, squared_distances
-from fingerflow.tracker.frame_returns import NEARBY, Known, Ways, excess, is_far, is_jump, ordinary
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
+from fingerflow.tracker.frame_returns import NEARBY, Ordinary, Ways, excess, is_far, is_jump, ordinary
 
 Array = NDArray[Any]
 
@@ -31,7 +31,7 @@ _LIT = 0.3  # of the mean light: lines of the empty glass with less are not chec
 class Picture(NamedTuple):
     """Samples of each view of a frame, the contact view first, and the key of `frame_copies.key_of`."""
 
-    samples: tuple[Samples, ...]
+    samples: tuple[PixelSamples, ...]
     key: bytes
 
 
@@ -76,7 +76,9 @@ class FrameCheck:
         """
         every = [views[name][0] for name in sorted(views)]  # the contact view is first
         (contact, lines), *others = (_blocks(view[0]) for view in every)
-        picture = Picture(tuple(Samples.of(view) for view in every), key_of([contact, *(one for one, _ in others)]))
+        picture = Picture(
+            tuple(PixelSamples.of(view) for view in every), key_of([contact, *(one for one, _ in others)])
+        )
         if float(contact.mean()) < self._least:
             return picture, _DARK
         if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
@@ -179,9 +181,9 @@ class FrameCheck:
         result: Array = np.maximum(most, steps[-1])
         return result
 
-    def _known(self) -> Known:
+    def _known(self) -> Ordinary:
         steps = np.stack(self._steps)
-        return Known.of(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
+        return Ordinary.of(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
 
 
 class _Seen(NamedTuple):

@@ -28,7 +28,7 @@ from fingerflow.synthetic import PartialSlip, Press, Slide, SyntheticScene, scen
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
-from fingerflow.tracker.frame_distances import Samples, squared_distances_before
+from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_returns import jumps_and_returns
 from tests.silent.case import Case
 from tests.small_trials import (
@@ -234,7 +234,7 @@ def without_fault(folder: Path) -> Iterator[Case]:
 
 
 def _clean(name: str, *views: Frames) -> Case:
-    distances = np.concatenate([squared_distances_before(Samples.of(view), None) for view in views], axis=2)
+    distances = np.concatenate([squared_distances_before(PixelSamples.of(view), None) for view in views], axis=2)
     keys = [key_of(blocks) for blocks in zip(*(block_means(view).blocks for view in views), strict=True)]
     copied = copies(keys, distances, np.ones(len(keys), dtype=bool))
     excluded = np.setdiff1d(np.flatnonzero(copied | jumps_and_returns(distances, ~copied)), KNOWN.get(name, []))

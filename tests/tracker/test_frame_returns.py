@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
-from fingerflow.tracker.frame_distances import LONGEST, Samples, squared_distances_before
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_returns import jumps_and_returns
 from tests.small_trials import SPOILED
 
@@ -33,7 +33,7 @@ def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     """As a stage has them, `size` frames at a time."""
     before, parts = None, []
     for k in range(0, len(frames), size):
-        samples = Samples.of(frames[k : k + size])
+        samples = PixelSamples.of(frames[k : k + size])
         parts.append(squared_distances_before(samples, before))
         before = samples.last(LONGEST + 1, before)
     return np.concatenate(parts)

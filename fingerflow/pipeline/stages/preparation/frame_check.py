@@ -11,7 +11,7 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, key_of
-from fingerflow.tracker.frame_distances import LONGEST, Samples, squared_distances_before
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_returns import jumps_and_returns
 
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
@@ -49,7 +49,7 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._before: list[Samples | None] = [None] * len(self._views)  # samples of the last frames of each view
+        self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames of each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._keys: list[bytes] = []
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
@@ -78,7 +78,7 @@ class FrameCheckStage(Stage):
                 self._light[indices] = blocks.mean((1, 2)) - self._black
                 self._saturated[indices] = (blocks > self._top).mean((1, 2))
             every.append(blocks)
-            samples = Samples.of(frames)
+            samples = PixelSamples.of(frames)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
         self._keys += map(key_of, zip(*every, strict=True))
