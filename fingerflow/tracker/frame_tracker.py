@@ -131,7 +131,7 @@ class FrameOutcome(NamedTuple):
     restart: int
 
 
-class _Known(NamedTuple):
+class _KnownMotion(NamedTuple):
     """Known motion of the points after a frame, and the number of that frame."""
 
     motion: PointMotion
@@ -151,7 +151,7 @@ class _Change(NamedTuple):
     cause: str
 
 
-class _Unlearnt(NamedTuple):
+class _PendingThreshold(NamedTuple):
     """Frame whose measured contact threshold has not been taken into account yet.
 
     Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided.
@@ -200,15 +200,15 @@ class StreamTracker:
         self._search = ThresholdSearch(lag + _LEARNT_AFTER)
         self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
-        self._latest: _Known | None = None
-        self._known: dict[int, _Known | None] = {}  # motion after each of the last frames, by their index
+        self._latest: _KnownMotion | None = None
+        self._known: dict[int, _KnownMotion | None] = {}  # motion after each of the last frames, by their index
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
         self._deferred: deque[Work] = deque()  # frames that later ones decide about
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
-        self._unlearnt: deque[_Unlearnt] = deque()
+        self._unlearnt: deque[_PendingThreshold] = deque()
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
@@ -333,7 +333,7 @@ class StreamTracker:
         known = self._known.get(index - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
-    def _know(self, motion: _Known) -> None:
+    def _know(self, motion: _KnownMotion) -> None:
         """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
@@ -391,7 +391,7 @@ class StreamTracker:
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
         self.found = int(known_of(points).sum())
-        self._know(_Known(self._points.motion, number))
+        self._know(_KnownMotion(self._points.motion, number))
         self._seeding = Seeding(points, before)
         self._upkeep.restarted(self._begun, number, self.found)
         self._search.begin()
@@ -415,7 +415,7 @@ class StreamTracker:
 
     def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
-        self._unlearnt.append(_Unlearnt(newest, work.frame.number, work, False))
+        self._unlearnt.append(_PendingThreshold(newest, work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, newest: int) -> FrameOutcome:
@@ -430,14 +430,14 @@ class StreamTracker:
         resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
         # No later frame has begun if they begin one by one, which a deferral does not change.
         found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
-        self._latest = _Known(points.motion, frame.number)
+        self._latest = _KnownMotion(points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
             # The first threshold that is measured applies at once, as there is no other.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_Unlearnt(newest, frame.number, work, True))
+        self._unlearnt.append(_PendingThreshold(newest, frame.number, work, True))
         if self._change is None:
             cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
             if cause:
@@ -474,7 +474,7 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_threshold(self, one: _Unlearnt) -> list[Event]:
+    def _learn_threshold(self, one: _PendingThreshold) -> list[Event]:
         if not self.measures:
             return []
         measured = one.work.measured
