@@ -45,7 +45,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
     """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
-    energy `border_energy`. For areas it is the scatter from frame to frame (`scatter`).
+    energy the uncertainty of the border. For areas it is the scatter from frame to frame (`scatter`).
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]

@@ -13,7 +13,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, check_stored_size
+from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
