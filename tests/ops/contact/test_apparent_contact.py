@@ -1,6 +1,7 @@
 """The region that a pattern spans: drawn shapes, the same rounds pixel by pixel by SciPy, and what is refused."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,24 +26,27 @@ def disc(size: int, radius: float, period: float | None = None, angle: float = 0
 
 
 def by_scipy(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    def smooth(values: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def smooth(values: NDArray[Any], boxes: float = 1.0) -> NDArray[np.float64]:
         density = values.astype(np.float64)
         for _ in range(3):
-            density = scipy.ndimage.uniform_filter(density, 2 * radius + 1, mode="constant")
+            density = scipy.ndimage.uniform_filter(density, round(boxes * (2 * radius + 1)), mode="constant")
         return density
 
-    def share(region: NDArray[np.bool_]) -> float:
-        return float(np.clip(mask[region].mean() if region.any() else 0, 0.2, 1))
+    def share(region: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
+        return float(np.clip((mask * region * weight).sum() / max((region * weight).sum(), 1e-9), 0.2, 1))
 
     density = smooth(mask)
     region = density > 0.25
     for _ in range(2):
-        region = density > share(region) / 2
+        region = density > share(region, np.ones_like(density)) / 2
     square = np.ones((3, 3), dtype=bool)
-    border = scipy.ndimage.binary_dilation(region, square) & ~scipy.ndimage.binary_erosion(region, square)
-    level = np.clip(smooth(region)[border].mean() if border.any() else 0, 0.25, 0.5)
     for _ in range(2):
-        region = density > share(region) * level
+        border = scipy.ndimage.binary_dilation(region, square) & ~scipy.ndimage.binary_erosion(region, square)
+        level = np.clip(smooth(region)[border].mean() if border.any() else 0, 0.25, 0.5)
+        narrow, wide = smooth(border, 1.5), smooth(border, 3)
+        for _ in range(4):
+            near, far = share(region, narrow), share(region, wide)
+            region = density > np.clip(near * (near / far) ** 0.6, 0.2, 1) * level
     parts, _ = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(region), square)
     return np.asarray((parts == 1 + np.argmax(np.bincount(parts.flat)[1:])) if parts.any() else parts > 0)
 
