@@ -201,17 +201,15 @@ void inverse_slopes(const CellPlane& plane, const float* density, float* inverse
     }
 }
 
-// `each` is the share of a cell that a pixel fills. With `weights` (null for 1 everywhere) each cell counts by its weight.
-CellShare share_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float each,
-                      const float* weights, float limit) {
+// `each` is the share of a cell that a pixel fills.
+CellShare share_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float each, float limit) {
     Sum parts, covered;
     for (std::int64_t y = 0; y < plane.height; ++y) {
         for (std::int64_t x = 0; x < plane.width; x += kFloats) {
             const std::int64_t at = y * plane.pitch + x;
             const Floats part = part_of(load(density + at), load(inverse + at), limit);
-            const Floats weight = weights == nullptr ? all(1) : load(weights + at);
-            parts.add(part * weight);
-            covered.add(lesser(load(counts + at) * each, part) * weight);
+            parts.add(part);
+            covered.add(lesser(load(counts + at) * each, part));
         }
         parts.row(y);
         covered.row(y);
@@ -219,21 +217,55 @@ CellShare share_above(const CellPlane& plane, const float* density, const float*
     return {parts.total(), covered.total()};
 }
 
-// Writes the mean of part (1 - part) over each block of 2 x 2 cells; `line` has space for a row and one cell more.
-void border_blocks(const CellPlane& plane, const float* density, const float* inverse, float limit, float* line,
-                   const CellPlane& blocks, float* FINGERFLOW_RESTRICT means) {
-    for (std::int64_t row = 0; row < blocks.height; ++row) {
+// The same with the weights of two bands.
+void shares_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float each,
+                  const float* narrow, const float* wide, float limit, CellShare* near, CellShare* far) {
+    Sum near_parts, near_covered, far_parts, far_covered;
+    for (std::int64_t y = 0; y < plane.height; ++y) {
         for (std::int64_t x = 0; x < plane.width; x += kFloats) {
-            Floats sum = all(0);
-            for (std::int64_t y = 2 * row; y < 2 * row + 2 && y < plane.height; ++y) {
-                const Floats part = part_of(load(density + y * plane.pitch + x), load(inverse + y * plane.pitch + x), limit);
-                sum = sum + part * (1.0f - part);
-            }
-            store(line + x, sum);
+            const std::int64_t at = y * plane.pitch + x;
+            const Floats part = part_of(load(density + at), load(inverse + at), limit), covered = lesser(load(counts + at) * each, part);
+            const Floats first = load(narrow + at), second = load(wide + at);
+            near_parts.add(part * first);
+            near_covered.add(covered * first);
+            far_parts.add(part * second);
+            far_covered.add(covered * second);
         }
-        line[plane.width] = 0;
+        for (Sum* const sum : {&near_parts, &near_covered, &far_parts, &far_covered}) sum->row(y);
+    }
+    *near = {near_parts.total(), near_covered.total()};
+    *far = {far_parts.total(), far_covered.total()};
+}
+
+// Writes part (1 - part) of a row where some of the 3 x 3 cells lie in the filled region and others do not; cells beyond
+// the plane count as their neighbours. `line` has space for two rows with margins.
+void border_row(const CellPlane& plane, std::int64_t y, const float* density, const float* inverse, const float* filled, float limit,
+                float* FINGERFLOW_RESTRICT line, float* FINGERFLOW_RESTRICT border) {
+    const std::int64_t width = plane.width;
+    const float *FINGERFLOW_RESTRICT full = filled + y * plane.pitch, *FINGERFLOW_RESTRICT above = y > 0 ? full - plane.pitch : full;
+    const float* FINGERFLOW_RESTRICT below = y + 1 < plane.height ? full + plane.pitch : full;
+    float* FINGERFLOW_RESTRICT const counts = line;
+    for (std::int64_t x = 0; x < width; ++x) counts[x] = above[x] + full[x] + below[x];
+    counts[-1] = counts[0];
+    counts[width] = counts[width - 1];
+    for (std::int64_t x = 0; x < width; ++x) {
+        const float count = counts[x - 1] + counts[x] + counts[x + 1];
+        float part = (density[y * plane.pitch + x] - limit) * inverse[y * plane.pitch + x] + 0.5f;
+        part = part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part;
+        border[x] = (count > 0.0f) & (count < 9.0f) ? part * (1.0f - part) : 0.0f;
+    }
+    for (std::int64_t x = width; x < whole(plane); ++x) border[x] = 0.0f;
+}
+
+// Writes the means of cells over blocks of 2 x 2; cells beyond the plane are 0.
+void halve_cells(const CellPlane& plane, const float* cells, const CellPlane& blocks, float* means) {
+    for (std::int64_t row = 0; row < blocks.height; ++row) {
+        const float* FINGERFLOW_RESTRICT const upper = cells + 2 * row * plane.pitch;
+        const float* FINGERFLOW_RESTRICT const lower = 2 * row + 1 < plane.height ? upper + plane.pitch : nullptr;
         float* FINGERFLOW_RESTRICT const to = means + row * blocks.pitch;
-        for (std::int64_t x = 0; x < blocks.width; ++x) to[x] = (line[2 * x] + line[2 * x + 1]) * 0.25f;
+        for (std::int64_t x = 0; x < blocks.width; ++x) to[x] = (upper[2 * x] + upper[2 * x + 1]) * 0.25f;
+        if (lower != nullptr)
+            for (std::int64_t x = 0; x < blocks.width; ++x) to[x] += (lower[2 * x] + lower[2 * x + 1]) * 0.25f;
     }
 }
 
@@ -259,14 +291,13 @@ void parts_above(const CellPlane& plane, const float* density, const float* inve
         }
 }
 
-BorderLevel border_level(const CellPlane& plane, const float* density, const float* inverse, const float* own, float limit) {
+BorderLevel border_level(const CellPlane& plane, const float* own, const float* border) {
     Sum sums, weights;
     for (std::int64_t y = 0; y < plane.height; ++y) {
         for (std::int64_t x = 0; x < plane.width; x += kFloats) {
-            const std::int64_t at = y * plane.pitch + x;
-            const Floats part = part_of(load(density + at), load(inverse + at), limit), weight = part * (1.0f - part);
+            const Floats weight = load(border + y * plane.pitch + x);
             weights.add(weight);
-            sums.add(weight * load(own + at));
+            sums.add(weight * load(own + y * plane.pitch + x));
         }
         weights.row(y);
         sums.row(y);
@@ -368,7 +399,9 @@ FINGERFLOW_OTHER_SETS(scale_cells)
 FINGERFLOW_OTHER_SETS(smooth_cells)
 FINGERFLOW_OTHER_SETS(inverse_slopes)
 FINGERFLOW_OTHER_SETS(share_above)
-FINGERFLOW_OTHER_SETS(border_blocks)
+FINGERFLOW_OTHER_SETS(shares_above)
+FINGERFLOW_OTHER_SETS(border_row)
+FINGERFLOW_OTHER_SETS(halve_cells)
 FINGERFLOW_OTHER_SETS(spread_blocks)
 FINGERFLOW_OTHER_SETS(parts_above)
 FINGERFLOW_OTHER_SETS(border_level)
@@ -382,7 +415,7 @@ namespace {
 constexpr float kLeastShare = 0.2f, kLeastLevel = 0.25f;
 constexpr int kFirstRounds = 2, kBorders = 2, kRounds = 4;
 constexpr float kNarrow = 1.5f, kWide = 3.0f;  // widths of the bands inside the border, in widths of the boxes
-constexpr float kThinning = 0.6f;
+constexpr float kThinning = 0.6f, kSolid = 0.9f;
 
 float clamped(float value, float low, float high) { return std::min(std::max(value, low), high); }
 
@@ -399,6 +432,7 @@ public:
         blocks_.height = cells_of(plane_.height, 2);
         blocks_.width = cells_of(plane_.width, 2);
         blocks_left_ = lay_out(blocks_, kWide * width_ / 2);
+        outline_floats_ = 2 * plane_.pitch + 2 * whole(plane_.height);
     }
 
     // Sets margin and pitch of a plane that is smoothed by boxes of a width; returns the floats before a row's first cell.
@@ -410,7 +444,7 @@ public:
 
     void find() {
         const std::int64_t all = (plane_.height + 2 * plane_.margin) * plane_.pitch, line = (given_.width + 127) / 64 * 64;
-        const std::int64_t outline = 2 * plane_.pitch + 2 * whole(plane_.height), few = (blocks_.height + 2 * blocks_.margin) * blocks_.pitch;
+        const std::int64_t outline = outline_floats_, few = (blocks_.height + 2 * blocks_.margin) * blocks_.pitch;
         auto* const memory =
             static_cast<unsigned char*>(workspace(static_cast<std::size_t>(line + 4 * (8 * all + 2 * few + outline + 2 * plane_.pitch))));
         const std::int64_t origin = plane_.margin * plane_.pitch + left_;
@@ -437,15 +471,24 @@ public:
         const auto smooth = FINGERFLOW_PICK(smooth_cells);
         smooth(plane_, width_, density_, other_);
         FINGERFLOW_PICK(inverse_slopes)(plane_, density_, inverse_);
-        float limit = 0.25f;
-        for (int round = 0; round < kFirstRounds; ++round) limit = share_above(limit, nullptr) / 2;
+        float limit = 0.25f, inner = 1;
+        for (int round = 0; round < kFirstRounds; ++round) {
+            inner = share_above(limit);
+            limit = inner / 2;
+        }
         for (int border = 0; border < kBorders; ++border) {
             const float level = level_of(limit);
-            band(limit, kNarrow, narrow_);
-            band(limit, kWide, wide_);
+            if (inner > kSolid) {
+                for (int round = 0; round < kRounds; ++round) limit = share_above(limit) * level;
+                continue;
+            }
+            band(kNarrow, narrow_);
+            band(kWide, wide_);
+            const auto shares_above = FINGERFLOW_PICK(shares_above);
             for (int round = 0; round < kRounds; ++round) {
-                const float near = share_above(limit, narrow_), far = share_above(limit, wide_);
-                limit = clamped(near * std::pow(near / far, kThinning), kLeastShare, 1.0f) * level;
+                CellShare near, far;
+                shares_above(plane_, density_, inverse_, counts_, each_, narrow_, wide_, limit, &near, &far);
+                limit = clamped(share_of(near) * std::pow(share_of(near) / share_of(far), kThinning), kLeastShare, 1.0f) * level;
             }
         }
         fill(limit);
@@ -458,22 +501,30 @@ public:
     static std::int64_t cells_of(std::int64_t pixels, std::int64_t side) { return (pixels + side - 1) / side; }
 
 private:
-    float share_above(float limit, const float* weights) const {
-        const CellShare share = FINGERFLOW_PICK(share_above)(plane_, density_, inverse_, counts_, each_, weights, limit);
+    static float share_of(const CellShare& share) {
         return clamped(static_cast<float>(share.covered / std::max(share.parts, 1e-3)), kLeastShare, 1.0f);
     }
 
-    // The value of the smoothed region itself at its border: below one half where that is convex.
+    float share_above(float limit) const {
+        return share_of(FINGERFLOW_PICK(share_above)(plane_, density_, inverse_, counts_, each_, limit));
+    }
+
+    // Finds the outer border, left in wide_, and returns the value there of the region itself, smoothed: below one half
+    // where the border is convex.
     float level_of(float limit) {
+        fill(limit);
+        const auto border_row = FINGERFLOW_PICK(border_row);
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            border_row(plane_, y, density_, inverse_, filled_, limit, line_, wide_ + y * plane_.pitch);
         FINGERFLOW_PICK(parts_above)(plane_, density_, inverse_, limit, own_);
         FINGERFLOW_PICK(smooth_cells)(plane_, width_, own_, other_);
-        const BorderLevel border = FINGERFLOW_PICK(border_level)(plane_, density_, inverse_, own_, limit);
+        const BorderLevel border = FINGERFLOW_PICK(border_level)(plane_, own_, wide_);
         return clamped(static_cast<float>(border.density / std::max(border.weight, 1e-3)), kLeastLevel, 0.5f);
     }
 
-    // Writes weights that fall off from the border, over boxes of `boxes` widths.
-    void band(float limit, float boxes, float* weights) {
-        FINGERFLOW_PICK(border_blocks)(plane_, density_, inverse_, limit, among_, blocks_, block_means_);
+    // Writes weights that fall off from the border in wide_, over boxes of `boxes` widths.
+    void band(float boxes, float* weights) {
+        FINGERFLOW_PICK(halve_cells)(plane_, wide_, blocks_, block_means_);
         FINGERFLOW_PICK(smooth_cells)(blocks_, std::max(boxes * width_ / 2, 1.0f), block_means_, other_blocks_);
         FINGERFLOW_PICK(spread_blocks)(blocks_, block_means_, plane_, weights);
     }
@@ -503,6 +554,8 @@ private:
                     }
             edge.swap(next);
         }
+        std::memset(outline_.down, 0, static_cast<std::size_t>(4 * outline_floats_));
+        std::memset(filled_, 0, static_cast<std::size_t>(4 * plane_.height * plane_.pitch));
         const auto extend = FINGERFLOW_PICK(extend_outline);
         for (std::int64_t y = 0; y < plane_.height; ++y) {
             if (y % kCellBlock == 0)
@@ -558,6 +611,7 @@ private:
     const float width_, each_;
     CellPlane plane_, blocks_;          // of cells, and of blocks of 2 x 2 cells
     std::int64_t left_, blocks_left_;  // floats before the first cell of a row
+    std::int64_t outline_floats_;
     float *density_, *own_, *other_, *filled_, *counts_, *inverse_, *line_, *among_, *block_means_, *other_blocks_, *narrow_, *wide_;
     Outline outline_;
 };

@@ -16,6 +16,7 @@ from fingerflow.ops.contact.cells import cell_means, enlarge, widest
 _LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
 _FIRST_ROUNDS, _BORDERS, _ROUNDS = 2, 2, 4
 _NARROW, _WIDE = 1.5, 3.0  # widths of the bands inside the border, in widths of the boxes
+_SOLID = 0.9  # share from which a contact has no valleys, and becomes no thinner towards its rim
 _THINNING = 0.6  # power of the ratio of the shares in both bands by which the share falls on to the border
 _PART = 32  # cells of a line smoothed by one matrix product
 _BLOCK = 8  # cells, side of the blocks on which components are separated
@@ -53,8 +54,8 @@ def apparent_contact(
     Ridges become thinner towards the rim, where the pressure is low: half of the density in the middle would leave
     out 4 % of a real print. The share that the pattern covers is therefore measured in two bands inside the border,
     1.5 and 3 boxes wide, and extrapolated: share = narrow (narrow / wide)^0.6, as for a share that approaches its
-    value inside exponentially, over the width of a box. Region and shares depend on each other; a fixed number of
-    rounds of a fixed-point iteration finds them.
+    value inside exponentially, over the width of a box. A contact without valleys has the same share everywhere.
+    Region and shares depend on each other; a fixed number of rounds of a fixed-point iteration finds them.
 
     The density varies slowly over a box, so cells with a fourth of the box's side resolve it. A cell crossed by the
     border counts by the fraction inside, which follows from the slope of the density. A hole is filled where the region
@@ -107,17 +108,22 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
 
     limit: Tensor | float = 0.25
     for _ in range(_FIRST_ROUNDS):
-        limit = share(limit) / 2
+        inner = share(limit)
+        limit = inner / 2
+    solid = (inner - _SOLID).clamp_min(0).sign()
     for _ in range(_BORDERS):
         part = inside(limit)
-        border = part * (1 - part)
+        filled = _enclosed(_main_component((density - limit).clamp_min(0).sign(), density))
+        # The outer border: what lies beyond the frame, or in a hole, is no rim.
+        border = part * (1 - part) * widest(filled) * widest(1 - filled)
         # At a convex border the smoothed region itself is below one half.
         own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
         level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
         narrow, wide = (_band(border, width * boxes) for boxes in (_NARROW, _WIDE))
         for _ in range(_ROUNDS):
             near, far = share(limit, narrow), share(limit, wide)
-            limit = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0) * level
+            rim = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0)
+            limit = (solid * share(limit) + (1 - solid) * rim) * level
     part = inside(limit)
     whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))

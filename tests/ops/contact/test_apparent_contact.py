@@ -37,16 +37,20 @@ def by_scipy(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 
     density = smooth(mask)
     region = density > 0.25
+    everywhere = np.ones_like(density)
     for _ in range(2):
-        region = density > share(region, np.ones_like(density)) / 2
+        inner = share(region, everywhere)
+        region = density > inner / 2
     square = np.ones((3, 3), dtype=bool)
     for _ in range(2):
-        border = scipy.ndimage.binary_dilation(region, square) & ~scipy.ndimage.binary_erosion(region, square)
+        filled = scipy.ndimage.binary_fill_holes(region)
+        border = scipy.ndimage.binary_dilation(filled, square) & ~scipy.ndimage.binary_erosion(filled, square)
         level = np.clip(smooth(region)[border].mean() if border.any() else 0, 0.25, 0.5)
         narrow, wide = smooth(border, 1.5), smooth(border, 3)
         for _ in range(4):
             near, far = share(region, narrow), share(region, wide)
-            region = density > np.clip(near * (near / far) ** 0.6, 0.2, 1) * level
+            rim = share(region, everywhere) if inner > 0.9 else np.clip(near * (near / far) ** 0.6, 0.2, 1)
+            region = density > rim * level
     parts, _ = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(region), square)
     return np.asarray((parts == 1 + np.argmax(np.bincount(parts.flat)[1:])) if parts.any() else parts > 0)
 
