@@ -270,8 +270,8 @@ class ContactStage(Stage):
             )
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             raise FingerflowError(
-                f"{self.inputs.recording.path}: no contact is found. In frame {self.reference_frame}, where most contact "
-                f"was expected, "
+                f"{self.inputs.recording.path}: no contact is found. In frame {self.reference_frame}, where most "
+                f"contact was expected, "
                 + (seen if seen else "the contact view is that of the background")
                 + f"; check [views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold "
                 f"to a number."

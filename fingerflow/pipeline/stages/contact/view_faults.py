@@ -15,7 +15,7 @@ _UNLIT_BORDER = 0.03  # of the border of the contact, beyond which the contact r
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes of a region, and its length, that no fingertip has
 _SOLID = 0.12  # of the real contact in patches without a valley; ridges that merge have up to 0.08
 _ALL_SOLID = 0.8  # a contact without valleys is no contact of ridges
-_SHADOW = 0.06  # light lost by the glass around a contact
+_SHADOW = 0.04  # light lost by the glass within a ridge period around a contact
 _STEP = 0.3  # |log ratio| of the light of successive lines of the background
 _REACH_PX, _MOVED_PX = 12, 1.5  # largest shift of the glass that is found, least that is reported
 _EDGE, _EDGE_PX = 0.02, 200  # relative slope of the light (1/px) at edges of the glass; so many pixels tell a shift
@@ -33,8 +33,8 @@ def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
     if unlit <= _UNLIT_BORDER:
         return []
     return [
-        f"the contact reaches glass without light along {unlit:.0%} of its border: areas, ellipse and medians are those "
-        f"of the lit part alone. Light the whole contact, or press in the middle of the light"
+        f"the contact reaches glass without light along {unlit:.0%} of its border: areas, ellipse and medians are "
+        f"those of the lit part alone. Light the whole contact, or press in the middle of the light"
     ]
 
 
@@ -83,13 +83,13 @@ def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
     `share` is corrected for the illumination gain.
     """
     away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
-    around = share[(away > period_px) & (away < 3 * period_px) & np.isfinite(share)]
+    around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
     kept = float(np.median(around)) if len(around) else 1.0
     if kept >= 1 - _SHADOW:
         return []
     return [
-        f"the glass around the contact has lost {1 - kept:.0%} of its light: a shadow or halo of the finger lies there, "
-        f"and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+        f"the glass around the contact has lost {1 - kept:.0%} of its light: a shadow or halo of the finger lies "
+        f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
     ]
 
 
@@ -122,8 +122,8 @@ def of_moved_glass(frame: Picture, light: Picture, region: Mask, number: int) ->
         return []
     return [
         f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame {number} "
-        f"({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and edges of the light "
-        f"count as contact. Record the empty glass again, or leave these frames out"
+        f"({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and edges of the "
+        f"light count as contact. Record the empty glass again, or leave these frames out"
     ]
 
 
@@ -147,16 +147,18 @@ def described(frame: Picture, light: Picture, number: int) -> str:
         rest = values - terms @ plane
         keep = np.abs(rest) < max(3 * float(np.std(rest[keep])), 0.01)
     said = []
-    if np.hypot(plane[1], plane[2]) > _UNEVEN * plane[0]:
+    across = float(np.hypot(plane[1], plane[2]))
+    fall = across / (float(plane[0]) + across / 2)
+    if fall > _UNEVEN:
         said.append(
-            f"the light falls by {np.hypot(plane[1], plane[2]) / plane[0]:.0%} across the view against the background: "
-            f"the lamp was moved or warms up"
+            f"the light falls by {fall:.0%} across the view against the background: the lamp was moved or warms up, so "
+            f"record the empty glass again"
         )
+    elif abs(plane[0] - 1) > _UNEVEN:
+        said.append(f"the whole view has {plane[0]:.0%} of the background's light")
     dark = float((rest < -_UNEVEN).mean())
     if dark > 0.002:
         said.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
-    if abs(plane[0] - 1) > _UNEVEN:
-        said.append(f"the whole view has {plane[0]:.0%} of the background's light")
     return "; ".join(said)
 
 
