@@ -45,7 +45,7 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent (gross) contact, whose border is where touching ridges are about half as dense as near the rim.
+    """Segment the apparent (gross) contact, whose border is where ridges are half as dense as near the rim.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
