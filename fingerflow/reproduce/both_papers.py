@@ -11,8 +11,9 @@ from fingerflow.reproduce.slides import record_and_measure
 
 _ABOUT_SLIDES = (
     "Ten slides at 60 Hz with a pixel of 40 µm: in four the stick region collapses at the printed sizes and "
-    "durations, in four it shrinks to nothing, in two the tangential force swings. Frictions, forces, contact sizes and "
-    "skin differ from slide to slide. Before a collapse d² falls in a straight line with T/N, as the paper saw no parabola."
+    "durations, in four it shrinks to nothing, in two the tangential force swings. Frictions, forces, contact sizes "
+    "and skin differ from slide to slide. Before a collapse d² falls in a straight line with T/N, as the paper saw no "
+    "parabola."
 )
 
 

@@ -7,7 +7,6 @@ The model's equations are checked by quadrature and root finding, written here f
 import math
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
@@ -242,7 +241,8 @@ def _inversion(_: Slides) -> Obtained:
     printed = (1 - area) / (2 - area)
     ours = float(friction_ratio(area))
     return Obtained(
-        f"{ours:.3f} by (1 - 2 d²)/(1 - d²), {solved:.3f} by a root of A17, {printed:.3f} as printed, for d² = {area:.3f}",
+        f"{ours:.3f} by (1 - 2 d²)/(1 - d²), {solved:.3f} by a root of A17, {printed:.3f} as printed, "
+        f"for d² = {area:.3f}",
         truth=f"{true:.3f}",
         because="the printed expression does not solve the line above it",
         agrees=abs(printed - solved) < _EXACT,
@@ -255,8 +255,8 @@ def _equal_friction(_: Slides) -> Obtained:
     away = np.abs(area - (1 - load))
     solves = float(np.abs(area**2 - (1 - load)).max())
     return Obtained(
-        f"d⁴ = 1 - (T/N)/μ (to {solves:.1g}); the printed line is off by up to {away.max():.2f}, {away[950]:.2f} at the "
-        "corridor's edge",
+        f"d⁴ = 1 - (T/N)/μ (to {solves:.1g}); the printed line is off by up to {away.max():.2f}, {away[950]:.2f} at "
+        "the corridor's edge",
         because="with equal coefficients the term in d² drops out of equation 5, not the one in d⁴",
         agrees=float(away.max()) < _EXACT,
     )
@@ -307,6 +307,7 @@ def _ends(values: list[float], digits: int = 2) -> str:
     return f"{min(values):.{digits}f} to {max(values):.{digits}f}" if values else "none"
 
 
+_DURATIONS = rounded(130, 150, 280, 310, digit=10)
 _SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # truncated, not rounded
 
 ROWS: tuple[Row[Slides], ...] = (
@@ -314,7 +315,7 @@ ROWS: tuple[Row[Slides], ...] = (
     Row("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2), _outcomes),
     Row("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
     Row("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
-    Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", rounded(130, 150, 280, 310, digit=10), _durations),
+    Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
     Row("A6", "corridor", "±5 %", "2b", exactly(0.05), _corridor),
     Row("A7", "existence threshold", "d² > 0.05", "2b", exactly(0.05), _existence),
     Row("A8", "stuck threshold", "< 40 µm (one pixel)", "1", exactly(40, 40), _threshold),
@@ -330,6 +331,6 @@ ROWS: tuple[Row[Slides], ...] = (
     Row("A18", "friction ratio from it", "μk/μs = (1 - d²)/(2 - d²)", "2.1", (), _inversion),
     Row("A19", "equal friction", "d² = 1 - (T/N)/μk", "2.1", (), _equal_friction),
     Row("A20", "earlier model", "exponent 2/3", "2.1", exactly(2 / 3), _tada),
-    Row("A21", "condition for a minimal area", "μk < μs (body); μk > μs (abstract)", "abstract, 1, 2.1", (), _condition),
+    Row("A21", "condition for a minimal area", "μk < μs (body); μk > μs (abstract)", "1, 2.1", (), _condition),
     Row("A22", "curve shape", "no parabolic decay", "3", (), _shape),
 )  # fmt: skip
