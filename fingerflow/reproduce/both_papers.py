@@ -5,8 +5,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from fingerflow.reproduce import figures_of_slides, slip_rows
+from fingerflow.reproduce import figures_of_presses, figures_of_slides, method_rows, press_rows, slip_rows
+from fingerflow.reproduce.drawn_figure import PrintedFigure
 from fingerflow.reproduce.paper_page import TITLES, PaperResults, write_page, write_results
+from fingerflow.reproduce.presses import PressStudy, record_and_analyse
+from fingerflow.reproduce.printed_row import Row, Source
 from fingerflow.reproduce.slides import record_and_measure
 
 _ABOUT_SLIDES = (
@@ -14,6 +17,14 @@ _ABOUT_SLIDES = (
     "durations, in four it shrinks to nothing, in two the tangential force swings. Frictions, forces, contact sizes "
     "and skin differ from slide to slide. Before a collapse d² falls in a straight line with T/N, as the paper saw no "
     "parabola."
+)
+
+
+_ABOUT_PRESSES = (
+    "A study of {participants} participants in {trials} trials at each of {amplitudes} amplitudes, a pair of presses "
+    "each: a skin chain turned about its axis, softer for half of the participants, with frictions of {high:g} without "
+    "and {low:g} at the largest vibration. The observer feels the difference of divergence, with noise. Equations, "
+    "settings and models are checked beside it."
 )
 
 
@@ -25,16 +36,44 @@ def reproduce(folder: Path, papers: Sequence[str] = tuple(TITLES), quick: bool =
     Args:
         folder: created if missing; recordings and results are in `slip` and `press`, the page is in `page`.
         papers: names in `TITLES`.
-        quick: a small study of presses in place of the whole.
+        quick: a small study of presses in place of the whole, in `press-quick`.
         progress: show bars.
 
     Raises FingerflowError if a file cannot be written.
     """
     page = folder / "page"
     for paper in papers:
-        source = record_and_measure(folder / paper, progress)
-        rows = [row.answer(source) for row in slip_rows.ROWS]
-        figures = tqdm(figures_of_slides.FIGURES, desc="figures", disable=not progress)
-        drawn = [one.write(source, page / paper) for one in figures]
-        write_results(PaperResults(paper, _ABOUT_SLIDES, rows, drawn), page)
+        if paper == "slip":
+            slides = record_and_measure(folder / paper, progress)
+            found = _compared(paper, _ABOUT_SLIDES, slides, slip_rows.ROWS, figures_of_slides.FIGURES, page, progress)
+        else:
+            study = record_and_analyse(folder / (f"{paper}-quick" if quick else paper), quick, progress)
+            rows = sorted((*method_rows.ROWS, *press_rows.ROWS), key=lambda row: int(row.id[1:]))
+            found = _compared(paper, _about(study), study, rows, figures_of_presses.FIGURES, page, progress)
+        write_results(found, page)
     return write_page(page)
+
+
+def _about(study: PressStudy) -> str:
+    design = study.design
+    return _ABOUT_PRESSES.format(
+        participants=design.participants,
+        trials=design.trials,
+        amplitudes=len(design.amplitudes),
+        high=design.friction[0],
+        low=design.friction[1],
+    )
+
+
+def _compared(
+    paper: str,
+    about: str,
+    source: Source,
+    rows: Sequence[Row[Source]],
+    figures: Sequence[PrintedFigure[Source]],
+    page: Path,
+    progress: bool,
+) -> PaperResults:
+    answers = [row.answer(source) for row in tqdm(rows, desc="rows", disable=not progress)]
+    drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures", disable=not progress)]
+    return PaperResults(paper, about, answers, drawn)

@@ -20,27 +20,33 @@ class PrintedFigure(Generic[Source]):
         name: as "2b" or "S11".
         printed: what it shows in print.
         draw: returns the figure and what it shows here; None in place of a figure where nothing can be drawn.
+        write_movie: writes the movie, of which the figure shows some frames.
     """
 
     name: str
     printed: str
     draw: Callable[[Source], tuple[Figure | None, str]]
+    write_movie: Callable[[Source, Path], None] | None = None
 
     def write(self, source: Source, folder: Path) -> "DrawnFigure":
-        """Draw the figure and write it as PNG; raise FingerflowError if it cannot be written."""
+        """Write the figure as PNG, and its movie as MP4; raise FingerflowError if one cannot be written."""
         figure, shown = self.draw(source)
         if figure is None:
             return DrawnFigure(self.name, self.printed, "", shown)
         path = folder / f"{self.name}.png"
         save_figure(figure, path)
-        return DrawnFigure(self.name, self.printed, path.name, shown)
+        movie = path.with_suffix(".mp4") if self.write_movie else None
+        if self.write_movie and movie:
+            self.write_movie(source, movie)
+        return DrawnFigure(self.name, self.printed, path.name, shown, "" if movie is None else movie.name)
 
 
 @dataclass(frozen=True)
 class DrawnFigure:
-    """A figure of the page: what is printed, the file ("" without one), and what it shows or why it is missing."""
+    """A figure of the page: what is printed, its file ("" without one), what it shows or why it is missing, a movie."""
 
     name: str
     printed: str
     file: str
     shown: str
+    movie: str = ""

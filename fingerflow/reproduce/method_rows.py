@@ -74,8 +74,8 @@ def _camera(study: PressStudy) -> Obtained:
     used = study.truth_of(entry)
     view = used.views["contact"].shape
     return Obtained(
-        f"{rig.frame_rate:g} fps, {rows} x {columns} px, {size[0]:.1f} x {size[1]:.1f} mm by default; this study, to be "
-        f"small, {used.frame_rate:g} fps, {view[0]} x {view[1]} px of {1000 * used.mm_per_px:.1f} µm",
+        f"{rig.frame_rate:g} fps, {rows} x {columns} px, {size[0]:.1f} x {size[1]:.1f} mm by default; here, to be small, "
+        f"{used.frame_rate:g} fps, {view[0]} x {view[1]} px of {1000 * used.mm_per_px:.1f} µm",
         exactly(rig.frame_rate, rows, columns, *size),
         because=f"16 mm over 512 px and 21 mm over 640 px are {16e3 / 512:.1f} and {21e3 / 640:.1f} µm: pixels are "
         f"square, of {1000 * rig.mm_per_px:g} µm here",
@@ -133,8 +133,8 @@ def _divergence(study: PressStudy) -> Obtained:
     _, spread = study.errors
     rms, mean = float(np.sqrt(np.mean(spread**2))), float(spread.mean())
     return Obtained(
-        f"local plane fits; median over the contact, mean error {1000 * mean:+.2f}, RMS error {1000 * rms:.2f} µm/mm in "
-        f"{len(spread)} trials"
+        f"local plane fits; median over the contact, mean error {1000 * mean:+.2f}, RMS error {1000 * rms:.2f} "
+        f"µm/mm in {len(spread)} trials"
     )
 
 
@@ -145,8 +145,8 @@ def _strains(study: PressStudy) -> Obtained:
     error = float((green_lagrange(gradient, "as_printed") - printed).abs().max())
     other = float((green_lagrange(gradient) - printed).abs().max())
     return Obtained(
-        f"measure as_printed, to {error:.1g}; {study.scene.fields.strain}, used here, adds (u_x u_y + v_x v_y)/2 to ε_xy: "
-        f"{other:.3f} at most for gradients of 0.1",
+        f"measure as_printed, to {error:.1g}; {study.scene.fields.strain}, used here, adds (u_x u_y + v_x v_y)/2 "
+        f"to ε_xy: {other:.3f} at most for gradients of 0.1",
         agrees=error < _EXACT,
     )
 
@@ -175,16 +175,15 @@ def _depth(study: PressStudy) -> Obtained:
 
 def _membrane(_: PressStudy) -> Obtained:
     own, fitted = float(_PAPER.membrane_stiffness), float(PARAMETERS["fitted"].membrane_stiffness)
-    return Obtained(
-        f"{own / 1000:g} kN/m; {fitted / 1000:.2g} kN/m where the area is fitted", exactly(own / 1000)
-    )
+    return Obtained(f"{own / 1000:g} kN/m; {fitted / 1000:.2g} kN/m where the area is fitted", exactly(own / 1000))
 
 
 def _tissue(study: PressStudy) -> Obtained:
     own, fitted = float(_PAPER.tissue_stiffness), float(PARAMETERS["fitted"].tissue_stiffness)
     area = study.chain_area_at_3n
     return Obtained(
-        f"{own / 1000:g} kN/m presses {area['paper']:.0f} mm² at 3 N, {fitted / 1000:.2g} kN/m {area['fitted']:.0f} mm²",
+        f"{own / 1000:g} kN/m presses {area['paper']:.0f} mm² at 3 N, {fitted / 1000:.2g} kN/m "
+        f"{area['fitted']:.0f} mm²",
         exactly(own / 1000),
     )
 
@@ -286,7 +285,7 @@ def _deep_stresses(_: PressStudy) -> Obtained:
             side = place - at
             return side**power * depth**down / (side**2 + depth**2) ** 2
 
-        return -2 / math.pi * load * quad(kernel, -half, half, epsabs=1e-13)[0]
+        return float(-2 / math.pi * load * quad(kernel, -half, half, epsabs=1e-13)[0])
 
     printed = (
         integral(2, 1, press) + integral(3, 0, pull),
@@ -309,8 +308,8 @@ def _gain(values: Values, frictions: tuple[float, ...]) -> tuple[str, tuple[tupl
 
 
 _STUCK = (
-    "the traction is mobilised only as far as skin slips: above a friction of 0.2 all of it sticks, so that the gain needs "
-    "a low friction near 0"
+    "the traction is mobilised only as far as skin slips: above a friction of 0.2 all of it sticks, so that the "
+    "gain needs a low friction near 0"
 )
 
 

@@ -12,10 +12,10 @@ from scipy import stats
 
 from fingerflow.models.observer import pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
-from fingerflow.report.trial_metrics import DIFFERENCE, dots_of
+from fingerflow.report.trial_metrics import dots_of
 from fingerflow.reproduce.presses import PressStudy
 from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded, within
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 
 Values = NDArray[np.float64]
 _ALPHA = 0.05
@@ -30,7 +30,10 @@ def _distribution(study: PressStudy, metric: str, unit: str, factor: float = 1.0
     values = factor * study.values(metric)
     values = values[np.isfinite(values)]
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    numbers = likely(mean, deviation / math.sqrt(values.size)), likely(deviation, deviation / math.sqrt(2 * values.size))
+    numbers = (
+        likely(mean, deviation / math.sqrt(values.size)),
+        likely(deviation, deviation / math.sqrt(2 * values.size)),
+    )
     return f"{mean:.3g} ± {deviation:.2g} {unit} in {values.size} presses", numbers
 
 
@@ -190,7 +193,8 @@ def _rate_on_answers(study: PressStudy) -> Obtained:
         return Obtained("", because=f"no mixed model: {found.get('reason')}")
     low, high = found["interval"]
     return Obtained(
-        f"{found['effect']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, {found['trials']} trials",
+        f"{found['effect']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, "
+        f"{found['trials']} trials",
         agrees=found["p"] < _ALPHA and found["effect"] > 0,
         because="the simulated observer does not feel rates: faster presses matter only through their larger force",
     )
@@ -290,7 +294,7 @@ def _strain_curve(study: PressStudy) -> Obtained:
     return Obtained(
         f"{text}, over amplitudes; from 1 to 2 N {_signed(early)}, from 2 to 3 N {_signed(late)}",
         agrees=flat and lowest > 0,
-        because="the skin of the chain goes on spreading as the force rises: it is elastic, without the paper's plateau",
+        because="the skin of the chain goes on spreading as the force rises: it is elastic and has no plateau",
     )
 
 
@@ -322,8 +326,8 @@ def _strain_against_divergence(study: PressStudy) -> Obtained:
         f"r = {found.value:.2f} ({low:.2f} to {high:.2f}); y = {slope:.3f} x {offset:+.3f} (% and µm/mm), R² = "
         f"{found.value**2:.2f}, {found.trials} presses",
         (found.interval, likely(float(slope), error)),
-        because="for an axisymmetric spread without bending the strain along any axis is half of the divergence, 0.05 % "
-        "for 1 µm/mm, and its median lies off that only by the edge of the contact",
+        because="where skin spreads evenly from a centre, the strain along any axis is half of the divergence: 0.05 % "
+        "for 1 µm/mm",
     )
 
 
@@ -363,9 +367,8 @@ def _energy_slope(study: PressStudy) -> Obtained:
 def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
     right = float(stats.f.sf(2.12, 5, 70))
     test = study.statistics["by_answer"]["strain_rate"]
-    return Obtained(
-        _test_of(test), agrees=False, because=f"F(5,70) = 2.12 gives p = {right:.3f}, not 0.023: the print disagrees with itself"
-    )
+    because = f"F(5,70) = 2.12 gives p = {right:.3f}, not 0.023: the print disagrees with itself"
+    return Obtained(_test_of(test), agrees=False, because=because)
 
 
 # Ideal observer
@@ -393,7 +396,15 @@ def _criterion(study: PressStudy) -> Obtained:
     )
 
 
-_RANKED = ("divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate", "real_contact_area")
+_RANKED = (
+    "divergence",
+    "force_angle",
+    "global_displacement",
+    "strain_rate",
+    "strain_energy",
+    "force_rate",
+    "real_contact_area",
+)
 
 
 def _ranking(study: PressStudy) -> Obtained:
@@ -418,8 +429,8 @@ def _soft_advantage(study: PressStudy) -> Obtained:
     groups = study.statistics["groups"]
     split = f"{groups.get('groups')} groups, {_p(groups.get('p'))}" if not groups.get("reason") else groups["reason"]
     return Obtained(
-        f"p(more slippery) at α ≤ 1 µm: softer {softer:.2f}, firmer {firmer:.2f} ({shares[1].size} and {shares[0].size} "
-        f"trials); split by divergence: {split}",
+        f"p(more slippery) at α ≤ 1 µm: softer {softer:.2f}, firmer {firmer:.2f} (of {shares[1].size} and "
+        f"{shares[0].size} trials); split by divergence: {split}",
         agrees=softer > firmer,
         truth="two groups of softness",
         because="few trials of small amplitude are near chance in either group",
@@ -448,7 +459,7 @@ ROWS: tuple[Row[PressStudy], ...] = (
     Row("B34", "normal force", "1 to 18 N, mean about 5.5 N", "S5B", ((1, 18), (1, 18), (5, 6)), _forces),
     Row("B35", "time to peak force", "1.47 ± 0.39 s", "S5C", rounded(1.47, 0.39, digit=0.01), _time_to_peak),
     Row("B36", "trial duration", "1 to 2.5 s", "S5D", ((0.9, 2.6), (0.9, 2.6)), _durations),
-    Row("B37", "effect on answers", "p = 0.31 (force), 0.99 (time to peak), 0.91 (duration)", "S5E to S5G", (), _no_effects),
+    Row("B37", "effect on answers", "p = 0.31 (force), 0.99 (time), 0.91 (duration)", "S5E to S5G", (), _no_effects),
     Row("B38", "force rate", "3.6 ± 3 N/s", "S5H", (*rounded(3.6, digit=0.1), *rounded(3, digit=1)), _force_rates),
     Row("B39", "force rate on answers", "mixed model p = 0.018, α ≤ 2 µm", "S5I", (), _rate_on_answers),
     Row("B40", "global displacement", "0.08 ± 0.10 mm", "S7A", rounded(0.08, 0.10, digit=0.01), _global_displacements),

@@ -1,8 +1,9 @@
 """The simulated experiment of Willemet et al. 2021: a study of presses, recorded, measured and analysed."""
 
+import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,21 +13,60 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_chain import press
 from fingerflow.report.simulated_presses import HIGH
 from fingerflow.report.supplement import Sources
 from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.reproduce.tribometer_trace import write_trace
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
-from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.init import init_study
+from fingerflow.study.manifest import Manifest, TrialEntry, load_manifest
+from fingerflow.study.run_study import run_study
+from fingerflow.study.simulated import write_recordings
 from fingerflow.study.simulated_trials import Design
-from fingerflow.study.statistics import Sample
+from fingerflow.study.statistics import Sample, sample_of, statistics_of
+from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
 _TRUTHS = 16  # trials whose deformation is compared with the truth
+_LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
+
+_FULL = Design(participants=16, trials=4)
+_QUICK = Design(participants=4, trials=1)
+_RESAMPLES = {False: 2000, True: 400}
+
+
+@dataclass(frozen=True)
+class TypicalPress:
+    """A press that figures show: its result and the scene of its frames."""
+
+    result: xr.Dataset
+    scene: Scene
+
+    @cached_property
+    def peak(self) -> int:
+        """Return the frame of the largest force."""
+        return int(np.nanargmax(self.result["normal_force"]))
+
+    @property
+    def largest_force(self) -> float:
+        """Return the largest force, N."""
+        return float(self.result["normal_force"][self.peak])
+
+    @property
+    def force_text(self) -> str:
+        """Return the largest force as text."""
+        return f"{self.largest_force:.1f} N"
+
+    def frame_at(self, force: float) -> int | None:
+        """Return the first frame in which a force (N) is reached; None if it never is."""
+        reached = np.flatnonzero(np.nan_to_num(self.result["normal_force"]) >= force)
+        return int(reached[0]) if reached.size else None
 
 
 @dataclass(frozen=True)
@@ -38,7 +78,6 @@ class PressStudy:
         statistics: as in `statistics.json`.
         design: of the simulation.
         trace: simulated tribometer trace.
-        figures: folder of the study's figures.
         sources: of the figures that models give.
     """
 
@@ -49,7 +88,6 @@ class PressStudy:
     statistics: dict[str, Any]
     design: Design
     trace: TribometerTrace
-    figures: Path
     sources: Sources
 
     @cached_property
@@ -121,11 +159,78 @@ class PressStudy:
             frame = int(np.nanargmax(result["normal_force"]))
             truth = self.truth_of(entry).truth.medians(frame)
             displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
-            moved.append(np.nanmedian(displacement, axis=0) - np.array(truth[-2:]))
+            moved.append(np.nanmedian(displacement, axis=0) - np.array((truth.displacement_x, truth.displacement_y)))
             spread.append(float(result["median_divergence"][frame]) - truth.divergence)
         return np.array(moved), np.array(spread)
+
+    @cached_property
+    def typical(self) -> "tuple[TypicalPress, TypicalPress]":
+        """Return two presses of one participant with similar forces of 3 N or more, at high and at low friction.
+
+        Without vibration friction is high, at the largest amplitude low.
+
+        Raises FingerflowError if no participant has both.
+        """
+        frame = self.measured[self.measured["max_force"] >= _LEAST_N]
+        least, most = min(self.design.amplitudes), max(self.design.amplitudes)
+        best: tuple[float, Any, Any] | None = None
+        for _, own in frame.groupby("participant"):
+            still, vibrating = own[own["condition"] == least], own[own["condition"] == most]
+            for _, one in still.iterrows():
+                for _, other in vibrating.iterrows():
+                    apart = abs(one["max_force"] - other["max_force"])
+                    if best is None or apart < best[0]:
+                        best = apart, one, other
+        if best is None:
+            raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
+        return self._typical(best[1]), self._typical(best[2])
+
+    def _typical(self, row: Any) -> "TypicalPress":
+        entry = next(
+            one
+            for one in self.manifest.trials
+            if (one.participant, one.trial) == (row["participant"], row["trial"])
+            and float(one.condition) == row["condition"]
+        )
+        result = self.result_of(entry)
+        assert result is not None
+        return TypicalPress(result, self.manifest.scene_of(entry))
 
     def some(self, most: int) -> Iterator[TrialEntry]:
         """Yield evenly spaced trials, `most` at most."""
         step = max(1, len(self.manifest.trials) // most)
-        yield from self.manifest.trials[:: step][:most]
+        yield from self.manifest.trials[::step][:most]
+
+
+def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True) -> PressStudy:
+    """Write the recordings that are missing, run the study on all that are not measured, and compute its statistics.
+
+    Raises FingerflowError if the folder holds a study of another design, or a file cannot be written.
+    """
+    import pandas as pd
+
+    recordings, design = folder / "recordings", _QUICK if quick else _FULL
+    known = recordings / "truth.json"
+    if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(design))):
+        raise FingerflowError(f"{known} is of another design: name another folder, or remove {folder}")
+    write_recordings(recordings, design)
+    if not (recordings / "study.toml").exists():
+        init_study(recordings, recordings / "answers.csv")
+    manifest = load_manifest(recordings)
+    run_study(manifest, progress=progress)
+    tables = write_tables(manifest)
+    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    for column in [name for name in frame if name.startswith("true_")]:
+        frame[column] = frame[column].astype(float)
+    sample = sample_of(frame)
+    trace = write_trace(folder / "tribometer.csv", design.friction_at, max(design.amplitudes))
+    return PressStudy(
+        manifest=manifest,
+        frame=frame,
+        curves=curves,
+        sample=sample,
+        statistics=statistics_of(sample, _RESAMPLES[quick]),
+        design=design,
+        trace=trace,
+        sources=Sources(tribometer=trace, trials=sample.trials),
+    )
