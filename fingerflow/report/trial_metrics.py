@@ -14,11 +14,10 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 
 Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
-DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
 

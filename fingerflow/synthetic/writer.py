@@ -44,12 +44,12 @@ FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
 def write_recording(folder: Path, scene: SyntheticScene, progress: bool = True) -> None:
-    """Write a synthetic scene as a recording folder, which appears only when it is complete.
+    """Write a synthetic scene as a recording folder, which appears only when it is complete, with a progress bar.
 
     The folder holds frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the
     mean of eight images without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml,
     the experiment settings; truth.json, from which `rebuild_scene` rebuilds the scene and its truth; and the image of
-    the print if the skin is one. With `progress` a bar counts the frames.
+    the print if the skin is one.
 
     Raises FingerflowError if the folder exists already or cannot be made.
     """
@@ -114,8 +114,7 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             pending = pool.map(write, range(scene.n_frames))
             try:
-                shown = {"total": scene.n_frames, "desc": "synthetic frames", "unit": "frame", "disable": not progress}
-                for _ in tqdm(pending, **shown):
+                for _ in tqdm(pending, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress):
                     pass
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)  # an interrupt must not wait for all other frames
