@@ -4,7 +4,7 @@ A trial a seed, of `fingerflow.synthetic.PartialSlip`: mu_s of 0.5 to 1.5 and mu
 4.8 to 5.9 mm in views of 256 x 304 px, a rim that creeps by 0.15 to 0.3 of a semi-axis, camera noise of 1 to 3 grey
 levels, force noise of 5 to 30 mN, 60 frames a second for 1.6 to 2.4 s. Points are tracked with windows of 17 px; the
 rest are default settings. Fifty more trials, `linear`, have a stuck area that falls in a straight line to 0.10 to 0.34
-and vanishes from there in 130 to 310 ms (`LinearSlip`): the range of Terekhov & Hayward (2011), without the
+and vanishes from there in 130 to 310 ms (`bench.linear_slip`): the range of Terekhov & Hayward (2011), without the
 model's curve. Two trials of each with --quick.
 
 - verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it
@@ -41,12 +41,13 @@ import numpy as np
 
 from bench.environment import one_thread
 from bench.friction_bound import friction_bound
+from bench.linear_slip import LinearSlip
 from bench.recordings import write_quietly
 from bench.rows import Cell, Row, number
 from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import critical_stuck_area
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
-from fingerflow.synthetic import Camera, LinearSlip, PartialSlip, RidgeTexture
+from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture
 
 SEEDS = range(100, 200)
 _ORDER = ("wrong", "none", "right")

@@ -83,10 +83,16 @@ def run(
 @study.command()
 def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
     """Write the page of a study: trials, figures and statistics, from what `run` has left."""
+    from fingerflow.study.cluster import Interrupted
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
 
-    typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers)}")
+    try:
+        page = write_study_report(load_manifest(manifest), scheduler, workers)
+    except Interrupted as stop:
+        typer.echo(f"no page: {stop}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    typer.echo(f"page: {page}")
 
 
 @study.command()

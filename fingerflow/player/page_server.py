@@ -1,7 +1,8 @@
 """HTTP server of the live page: three static files, the live data, and a request to reseed the points.
 
-The page is served to this computer and to those that its address is bound for. Requests for another host name, from
-pages of other sites, or with a body are refused. The number of clients and the duration of a request are limited.
+The page is served to this computer and to those that its address is bound for. Requests without the token of the
+printed address, for another host name, from pages of other sites, or with a body are refused. The number of clients
+and the duration of a request are limited.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import time
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.live_data import LiveData
+from fingerflow.player.page_token import PageToken, redirect
 
 log = logging.getLogger("fingerflow.player")
 
@@ -85,12 +88,16 @@ def serve_page(
             f"live page: {address[0]}:{address[1]} cannot be served ({error.strerror}); give --page another port or off"
         ) from None
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    log.info("live page: http://%s:%d/", *server.server_address[:2])
+    log.info("live page: %s", server.opening)
     return server
 
 
 class PageServer(ThreadingHTTPServer):
-    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request."""
+    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request.
+
+    Attributes:
+        opening: address that opens the page, with the token.
+    """
 
     daemon_threads = True
 
@@ -101,6 +108,9 @@ class PageServer(ThreadingHTTPServer):
         self.asking: dict[socket.socket, float] = {}  # clients with an incomplete request, and when it began
         self._said = False
         super().__init__(address, handler)
+        host, port = self.server_address[:2]
+        self.token = PageToken(int(port))
+        self.opening = f"http://{host!s}:{port}/?token={self.token.text}"
 
     def stop(self) -> None:
         """Stop the server of the live page; an open page is served a little longer, to show the end of the stream."""
@@ -175,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Check a request; if it must be refused, send the refusal, end the connection and return True."""
+        """Return True if a request is answered here: with a refusal, or with the cookie for the printed address."""
         self.server.asking.pop(self.connection, None)
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
@@ -191,14 +201,21 @@ class _Handler(BaseHTTPRequestHandler):
         if origin is not None and origin.lower() != f"http://{hosts[0]}".lower():
             self.answer(403, "text/plain", b"pages of other sites are refused")
             return True
+        path, _, query = self.path.partition("?")
+        if self.command == "GET" and path == "/" and self.server.token.is_in_query(query):
+            self.answer(200, "text/html", redirect("/").encode(), {"Set-Cookie": self.server.token.set_cookie})
+            return True
+        if not self.server.token.is_in_cookies(self.headers.get("Cookie", "")):
+            self.answer(403, "text/plain", b"open the whole address that the player has printed")
+            return True
         return False
 
-    def answer(self, status: int, kind: str, body: bytes) -> None:
+    def answer(self, status: int, kind: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})) -> None:
         """Send a complete response; an error status ends the connection."""
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
-        for name, value in _HEADERS.items():
+        for name, value in {**_HEADERS, **headers}.items():
             self.send_header(name, value)
         if status >= 400:
             self.send_header("Connection", "close")

@@ -470,9 +470,9 @@ STREAM = (
         equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
     ),
     Variable(
-        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip",
-        "u1", equation="1 where slip_residual > 2 σ in three frames",
-        label="partial slip",
+        "slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
+        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > √(|a + d|² + |b|²)",
+        label="slip",
     ),
     Variable(
         "illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",

@@ -19,6 +19,7 @@ from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.figures import write_figures
@@ -55,7 +56,7 @@ def write_study_report(
     import pandas as pd
 
     tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves).map(plain_cell)
     sample = sample_of(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
 

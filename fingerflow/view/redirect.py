@@ -1,16 +1,11 @@
 """HTML file that redirects a browser to the page, so that no command line contains the token."""
 
-import html
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-
-def redirect(address: str) -> str:
-    """Return an HTML page that redirects to an address, with an empty icon so that the browser requests none."""
-    leads = f'<meta http-equiv="refresh" content="0;url={html.escape(address)}">'
-    return f'<!doctype html>{leads}<link rel="icon" href="data:,"><title>fingerflow</title>'
+from fingerflow.player.page_token import redirect
 
 
 @contextmanager
