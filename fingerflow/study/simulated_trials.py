@@ -21,9 +21,10 @@ Values = NDArray[np.float64]
 Felt = Literal["divergence", "real_contact_area"]
 
 _ELEMENTS = 501
-_PATHS_N = (4.5, 9.0, 18.0)  # forces up to which chains are simulated: a press takes the first that reaches its own
+_PATHS_N = (5.0, 18.0)  # forces up to which chains are simulated: a press takes the first that reaches its own
+_SHARES = 0.17, 0.8  # smallest and largest share of touching ridges: a thinner one has two pixels
 _RINGS = 64  # of the contact, in each of which divergence since onset is evaluated
-_FORCES_N = np.geomspace(1.0, 18.0, 33)  # of the tables of divergence and area
+_FORCES_N = np.geomspace(1.0, 18.0, 21)  # of the tables of divergence and area
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class Design:
         participants: the second half of them has softer skin.
         trials: pairs of presses of each participant in each condition.
         amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
-        friction: coefficient without vibration and at the largest amplitude (not printed: divergence of the chain rises
-            from 0 to 20 µm/mm over this range, at the mean force). It falls with the square root of the amplitude.
+        friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
+            angles, and divergence of the chain rises from 0 to 20 µm/mm over this range at the mean force). Its
+            logarithm falls with the square root of the amplitude.
         softness: of firmer and softer skin, divisors of the chain's printed stiffnesses, so that apparent areas at the
             peak are 70.1 ± 4.5 mm² over participants (B5), in two groups (B66).
         force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
@@ -56,7 +58,7 @@ class Design:
         feels: what the observer compares between the two presses, at the peak of the force.
         noise: standard deviation of that difference as perceived: of divergences, and of areas in mm² (not printed).
         frame_rate: frames per second; the lab has 300 (B12).
-        mm_per_px: of the contact view; the lab has 0.0325.
+        mm_per_px: of the contact view (B12): skin that is spread by low friction is lost in coarser pictures.
         view_px: side of either view, both are square.
         seed: of all random numbers.
     """
@@ -64,8 +66,8 @@ class Design:
     participants: int = 16
     trials: int = 14
     amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-    friction: tuple[float, float] = (0.5, 0.2)
-    softness: tuple[float, float] = (3.12, 3.84)
+    friction: tuple[float, float] = (0.5, 0.16)
+    softness: tuple[float, float] = (3.15, 3.8)
     force_rate: tuple[float, float] = (3.6, 3.0)
     force_range: tuple[float, float] = (1.0, 18.0)
     time_to_peak: tuple[float, float] = (1.47, 0.39)
@@ -75,12 +77,12 @@ class Design:
     displacement: tuple[float, float] = (0.08, 0.10)
     real_area: tuple[float, float] = (23.7, 4.5)
     real_area_fall: float = 0.38
-    real_area_noise: float = 0.45
+    real_area_noise: float = 0.4
     feels: Felt = "divergence"
-    noise: tuple[float, float] = (0.003, 3.0)
+    noise: tuple[float, float] = (0.002, 3.0)
     frame_rate: float = 20.0
-    mm_per_px: float = 0.05
-    view_px: int = 336
+    mm_per_px: float = 0.0325
+    view_px: int = 512
     seed: int = 0
 
     def friction_at(self, amplitude: Values) -> Values:
@@ -151,7 +153,7 @@ def draw_presses(design: Design) -> Presses:
         force=force,
         time_to_peak=time,
         duration=np.clip(time + hold, *design.duration),
-        angle=np.minimum(angle, np.arctan(0.95 * friction)),  # the skin would slide beyond
+        angle=np.minimum(angle, np.arctan(friction)),  # beyond, the finger would slide
         shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
         divergence=divergence,
         gross_contact_area=area,
@@ -179,7 +181,7 @@ def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
     contact_time = 0.02
     return replace(
         _press(design, float(presses.friction[number]), bool(presses.soft[number]), float(presses.force[number])),
-        n_frames=frames_before + math.ceil((contact_time + duration) * design.frame_rate),
+        n_frames=frames_before + 1 + math.ceil((contact_time + duration) * design.frame_rate),
         frame_rate=design.frame_rate,
         frames_before_trigger=frames_before,
         contact_time=contact_time,
@@ -217,7 +219,7 @@ def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> t
         time[left] = draw.normal(*design.time_to_peak, left.size)
         force[left] = time[left] * draw.gamma(shape, mean / shape, left.size)
         low, high = design.force_range
-        longest = design.duration[1] - 0.05  # some of the peak is recorded
+        longest = design.duration[1] - design.hold[0]
         left = left[(force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)]
     return force, time
 
@@ -233,7 +235,7 @@ def _real_share(design: Design, draw: np.random.Generator, participant: NDArray[
     fall = 1 - design.real_area_fall * design._share(amplitude)
     own = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
     share = mean / 70.1 / fall.mean() * fall * own * _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
-    return np.asarray(np.clip(share, 0.08, 0.85))
+    return np.asarray(np.clip(share, *_SHARES))
 
 
 def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPress:
@@ -247,7 +249,7 @@ def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPr
         elements=_ELEMENTS,
         frame_shape=(side, 2 * side),
         mm_per_px=design.mm_per_px,
-        finger=(8.2, 8.2),
+        finger=(0.49 * side * design.mm_per_px,) * 2,
     )
 
 

@@ -1,0 +1,161 @@
+"""Twenty simulated studies processed from pictures: are d', area under the ROC and criterion those of their design?
+
+A study is `fingerflow.study.simulated_trials.Design`: 8 participants, 7 amplitudes, a comparison press each (4 to 9 N) in
+views of 418 px at 20 frames a second; default settings otherwise. An observer feels the divergence, another one the real
+contact area of the same presses: more or less of it than in the reference press, whose pictures are not needed. The
+answers follow from the truth, the metrics from the pictures by `process` and the table of a study.
+
+- d_prime, auc, criterion: of the felt metric, with their intervals of 95 % by participant; `true` is that of 56,000
+  trials of the same design, by their truth, without pictures;
+- holds: whether the three intervals contain the truth;
+- best: which of the paper's seven metrics (figure S11) tells answers best, by |area - 1/2|.
+
+Rows `all` count studies. The metrics of every press are kept in `results/simulated_studies.csv`: a run that was
+interrupted goes on, and one that is complete renders nothing.
+"""
+
+import csv
+import hashlib
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from bench.environment import one_thread
+from bench.rows import Cell, Row
+from fingerflow import load_scene, process
+from fingerflow.models.observer import Trials, leave_out_moved, observe
+from fingerflow.report.supplement.of_observer import OBSERVED
+from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.study.row import measure
+from fingerflow.study.simulated_trials import Design, Felt, Presses, answers_of, draw_presses, recording_of
+from fingerflow.synthetic import write_recording
+
+STUDIES = 20
+DESIGN = Design(
+    participants=8, trials=1, force_range=(4.0, 9.0), noise=(0.008, 3.0), view_px=418
+)
+STORE = Path(__file__).parents[1] / "results" / "simulated_studies.csv"
+FELT: tuple[Felt, ...] = ("divergence", "real_contact_area")
+STATISTICS = ("d_prime", "auc", "criterion")
+_POPULATION = replace(DESIGN, participants=2000, trials=4, seed=1_000_000)
+_RESAMPLES = 2000
+
+
+def run(quick: bool) -> list[Row]:
+    """Return a row of all studies for each observer, and a row per study and observer."""
+    design = replace(DESIGN, participants=4, amplitudes=(0.0, 1.0, 3.0)) if quick else DESIGN
+    store = Path(tempfile.mkdtemp()) / STORE.name if quick else STORE
+    truths = truth_of(replace(_POPULATION, amplitudes=design.amplitudes))
+    rows = []
+    for seed in range(1 if quick else STUDIES):
+        own = replace(design, seed=seed)
+        rows += [row_of(own, felt, measured(own, store), truths[felt]) for felt in FELT]
+    return [*(summed(felt, rows) for felt in FELT), *rows]
+
+
+def measured(design: Design, store: Path) -> dict[str, NDArray[np.float64]]:
+    """Return the metrics of the comparison presses of a study; those not in the store are rendered and processed."""
+    presses = draw_presses(design).pairs()[1]
+    count = presses.force.size
+    known = _stored(store, design)
+    with one_thread():
+        for number in tqdm([one for one in range(count) if one not in known], desc=f"study {design.seed}", unit="press"):
+            known[number] = _metrics(design, presses, number)
+            _keep(store, design, number, known[number])
+    return {name: np.array([known[number][name] for number in range(count)]) for name in OBSERVED}
+
+
+def row_of(design: Design, felt: Felt, metrics: dict[str, NDArray[np.float64]], truth: dict[str, float]) -> Row:
+    """Return the row of a study whose observer feels a metric."""
+    design = replace(design, feels=felt)
+    reference, comparison = draw_presses(design).pairs()
+    shown = {name: NUMBERS[name].shown_values(values) for name, values in metrics.items() if name != "global_displacement"}
+    trials = Trials(
+        participant=comparison.participant,
+        trial=np.arange(comparison.participant.size),
+        condition=comparison.amplitude,
+        answer=answers_of(design, reference, comparison),
+        metrics=shown | {"global_displacement": metrics["global_displacement"]},
+    )
+    found = observe(leave_out_moved(trials), resamples=_RESAMPLES)
+    away = {name: abs(one.auc.value - 0.5) for name, one in found.items() if math.isfinite(one.auc.value)}
+    row: dict[str, Cell] = {"study": design.seed, "feels": felt.replace("_", " "), "best": max(away, key=away.__getitem__)}
+    row["measured"] = int(np.isfinite(metrics[felt]).sum())
+    for name in STATISTICS:
+        one = getattr(found[felt], name)
+        low, high = one.interval
+        row |= {name: one.value, f"{name}_low": low, f"{name}_high": high, f"{name}_true": truth[name]}
+        row[f"{name}_holds"] = low <= truth[name] <= high
+    return row
+
+
+def summed(felt: Felt, rows: list[Row]) -> Row:
+    """Return the numbers of studies in which the felt metric is the best, and in which intervals hold the truth."""
+    own = [row for row in rows if row["feels"] == felt.replace("_", " ")]
+    found: dict[str, Cell] = {"study": f"all {len(own)}", "feels": felt.replace("_", " ")}
+    found["best"] = f"{felt} in {sum(row['best'] == felt for row in own)}"
+    for name in STATISTICS:
+        found |= {f"{name}_true": own[0][f"{name}_true"], f"{name}_holds": sum(bool(row[f"{name}_holds"]) for row in own)}
+    return found
+
+
+def truth_of(design: Design) -> dict[Felt, dict[str, float]]:
+    """Return the true statistics of each observer, from many trials of a design by their truth."""
+    reference, comparison = draw_presses(design).pairs()
+    found: dict[Felt, dict[str, float]] = {}
+    for felt in FELT:
+        answers = answers_of(replace(design, feels=felt), reference, comparison)
+        values = np.asarray(NUMBERS[felt].shown_values(getattr(comparison, felt)))
+        correct, incorrect = values[answers], np.sort(values[~answers])
+        apart = correct.mean() - incorrect.mean()
+        found[felt] = {
+            "d_prime": float(apart / math.sqrt((correct.var() + incorrect.var()) / 2)),
+            "auc": float(np.searchsorted(incorrect, correct).mean() / incorrect.size),
+            "criterion": float(np.quantile(correct, 0.25)),
+        }
+    return found
+
+
+def _metrics(design: Design, presses: Presses, number: int) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        write_recording(Path(folder) / "press", recording_of(design, presses, number), progress=False)
+        row, _ = measure(process(load_scene(Path(folder) / "press" / "scene.toml"), device="cpu"))
+    return {name: math.nan if row[name] is None else float(row[name]) for name in OBSERVED}
+
+
+def _stored(store: Path, design: Design) -> dict[int, dict[str, float]]:
+    """Return the stored metrics of a study by number of the press."""
+    return {
+        int(row["press"]): {name: float(row[name]) for name in OBSERVED}
+        for row in _lines(store)
+        if row["study"] == str(design.seed) and row["design"] == _mark(design)
+    }
+
+
+def _lines(store: Path) -> Iterator[dict[str, str]]:
+    if store.exists():
+        with store.open(encoding="utf-8", newline="") as file:
+            yield from csv.DictReader(file)
+
+
+def _mark(design: Design) -> str:
+    """Return a short digest of what decides the pictures: presses of another design are not taken from the store."""
+    pictures = replace(design, seed=0, feels=FELT[0], noise=(0.0, 0.0))
+    return hashlib.sha256(repr(pictures).encode()).hexdigest()[:8]
+
+
+def _keep(store: Path, design: Design, number: int, metrics: dict[str, float]) -> None:
+    begun = store.exists()
+    with store.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, ("design", "study", "press", *OBSERVED), lineterminator="\n")
+        if not begun:
+            writer.writeheader()
+        row: dict[str, Any] = {"design": _mark(design), "study": design.seed, "press": number}
+        writer.writerow(row | {name: f"{value:.6g}" for name, value in metrics.items()})
