@@ -34,8 +34,8 @@ def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArra
     yield from [picture] * _HELD
 
 
-def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
-    """Yield one RGB image (H, W, 3) for each time of simulated presses: skin coloured by displacement, and loads."""
+def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray[np.uint8]]:
+    """Yield one RGB image (H, W, 3) for every `step`-th time of simulated presses: skin by displacement, and loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
@@ -65,7 +65,7 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
     axes[1, 1].legend(frameon=False, fontsize="small", loc="upper right")
     figure.colorbar(skins[0][0], ax=list(axes[0]), label="displacement along the plate (mm)")
     heading = figure.suptitle(" ")
-    for frame in range(len(presses.time)):
+    for frame in range(0, len(presses.time), step):
         for column, k in enumerate(chosen):
             place = 1e3 * chain.position[frame, k].numpy()
             skin, bone = skins[column]

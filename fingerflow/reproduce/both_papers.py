@@ -6,7 +6,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from fingerflow.reproduce import figures_of_presses, figures_of_slides, method_rows, press_rows, slip_rows
-from fingerflow.reproduce.drawn_figure import PrintedFigure
+from fingerflow.reproduce.drawn_figure import PrintedFigure, PrintedMovie
 from fingerflow.reproduce.paper_page import TITLES, PaperResults, write_page, write_results
 from fingerflow.reproduce.presses import PressStudy, record_and_analyse
 from fingerflow.reproduce.printed_row import Row, Source
@@ -70,7 +70,7 @@ def _compared(
     about: str,
     source: Source,
     rows: Sequence[Row[Source]],
-    figures: Sequence[PrintedFigure[Source]],
+    figures: Sequence[PrintedFigure[Source] | PrintedMovie[Source]],
     page: Path,
     progress: bool,
 ) -> PaperResults:

@@ -2,25 +2,22 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 
 from fingerflow import plot
 from fingerflow.plot.axes_style import INK, finished
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.recordings import open_recording
 from fingerflow.report.decomposition import decompose, draw_decomposition
-from fingerflow.report.model_movie import movie_pictures, write_movie
+from fingerflow.report.model_movie import movie_pictures
 from fingerflow.report.supplement import FIGURES as SHEETS
 from fingerflow.report.supplement import Sheet, SheetPanel, Sources
-from fingerflow.report.video_writer import encode_video
 from fingerflow.report.view_painter import ViewPainter
-from fingerflow.reproduce.drawn_figure import PrintedFigure
+from fingerflow.reproduce.drawn_figure import Drawn, Picture, PrintedFigure, PrintedMovie
 from fingerflow.reproduce.presses import PressStudy, TypicalPress
 from fingerflow.reproduce.stages_of_a_press import (
     contact_mask,
@@ -30,14 +27,13 @@ from fingerflow.reproduce.stages_of_a_press import (
     skin_stages,
     view_of,
 )
-from fingerflow.results.atomic_write import write_atomically
 from fingerflow.study.figures import draw_curves
 
-Picture = NDArray[np.uint8]
-Drawn = tuple[Figure | None, str]
 _FORCES_N = (1.0, 2.0, 3.0)
-_MOVIE_MAPS = ("exx", "eyy", "exy", "strain_energy_density")
-_STILLS = 3  # frames of a movie on the page
+_STRAINS = ("exx", "eyy", "exy")
+_MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
+_CHAIN_STEP = 4  # of the chain's simulated times in movie M3
+_MOVIE_FORCES = 12  # in movie M4
 _ARROWS = 10.0  # magnification of displacements in movie M1
 
 
@@ -117,12 +113,13 @@ def _displacement_and_angle(study: PressStudy) -> Drawn:
 
 def _strain(study: PressStudy) -> Drawn:
     high, low = study.typical
+    limit = max(plot.colour_limit(one.result, name, (one.peak,)) for one in (high, low) for name in _STRAINS)
     panels = [
-        SheetPanel("A (low friction)", lambda part: _triangulated(part, low), columns=2),
-        SheetPanel("B (low friction)", lambda part: _strain_maps(part, low), columns=3),
-        SheetPanel("C (high friction)", lambda part: _triangulated(part, high), columns=2),
-        SheetPanel("D (high friction)", lambda part: _strain_maps(part, high), columns=3),
+        SheetPanel("A (low friction)", lambda part: _triangulated(part, low)),
+        SheetPanel("C (high friction)", lambda part: _triangulated(part, high)),
         _curve(study, "E", "strain"),
+        SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
+        SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
         *[panel for panel in _of_table(study, "S8") if panel.letter[0] in "FGHI"],
     ]
     return _sheet(
@@ -170,7 +167,7 @@ def _no_photographs(_: PressStudy) -> Drawn:
 
 def _triangulated(part: SubFigure, press: TypicalPress) -> None:
     """Draw both views at the largest force, with the triangles of the tracked points over the ridges."""
-    left, right = part.subplots(1, 2)
+    left, right = part.subplots(2, 1)
     show(left, view_of(press.scene, "contact", press.peak))
     show(right, view_of(press.scene, "topography", press.peak))
     places = in_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
@@ -180,10 +177,8 @@ def _triangulated(part: SubFigure, press: TypicalPress) -> None:
     right.triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.4)
 
 
-def _strain_maps(part: SubFigure, press: TypicalPress) -> None:
-    names = ("exx", "eyy", "exy")
-    limit = max(plot.colour_limit(press.result, name, (press.peak,)) for name in names)
-    for axes, name in zip(part.subplots(1, 3), names, strict=True):
+def _strain_maps(part: SubFigure, press: TypicalPress, limit: float) -> None:
+    for axes, name in zip(part.subplots(1, 3), _STRAINS, strict=True):
         plot.field_map(press.result, name, press.peak, axes, limit)
 
 
@@ -194,18 +189,7 @@ def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None
         plot.field_map(one.result, name, one.peak, axes, limit).set_title(f"{friction} friction")
 
 
-# Movies: a picture of the page is a strip of some of its frames.
-
-
-def _strip(pictures: list[Picture], shown: str) -> Drawn:
-    chosen = [pictures[at] for at in np.linspace(0, len(pictures) - 1, _STILLS).round().astype(int)]
-    height = sum(one.shape[0] for one in chosen)
-    width = max(one.shape[1] for one in chosen)
-    figure = Figure(figsize=(9.0, 9.0 * height / width), layout="constrained")
-    for axes, one in zip(figure.subplots(_STILLS, 1), chosen, strict=True):
-        axes.imshow(one, interpolation="antialiased")
-        axes.set_axis_off()
-    return figure, shown
+# Movies
 
 
 def _processed_frames(study: PressStudy) -> Iterator[Picture]:
@@ -235,7 +219,7 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
     limits = {name: max(plot.colour_limit(one.result, name, (one.peak,)) for one in pair) for name in _MOVIE_MAPS}
     figure = Figure(figsize=(14, 6.4), dpi=72, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    for force in np.linspace(0.5, min(one.largest_force for one in pair), 20):
+    for force in np.linspace(0.5, min(one.largest_force for one in pair), _MOVIE_FORCES):
         figure.clear()
         for row, one, friction in zip(figure.subplots(2, 4), pair, ("high", "low"), strict=True):
             for axes, name in zip(row, _MOVIE_MAPS, strict=True):
@@ -246,17 +230,12 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def _held(pictures: list[Picture], times: int) -> Iterator[Picture]:
-    for one in pictures:
-        yield from [one] * times
-
-
-def _movie_contact(study: PressStudy) -> Drawn:
+def _movie_contact(study: PressStudy) -> tuple[Iterator[Picture], str]:
     high, low = study.typical
-    shown = (
-        f"Above high, below low friction, at the same forces up to {min(high.largest_force, low.largest_force):.1f} N; "
+    largest = min(high.largest_force, low.largest_force)
+    return _processed_frames(study), (
+        f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
     )
-    return _strip(list(_processed_frames(study)), f"{shown}displacements {_ARROWS:g} x.")
 
 
 def _movie_protocol(study: PressStudy) -> Drawn:
@@ -277,39 +256,26 @@ def _movie_protocol(study: PressStudy) -> Drawn:
     return figure, "The two presses of a trial as they are simulated; the presses shown are of one participant."
 
 
-def _movie_chain(study: PressStudy) -> Drawn:
+def _movie_chain(study: PressStudy) -> tuple[Iterator[Picture], str]:
     presses = study.sources.presses
-    return _strip(list(movie_pictures(presses)), f"The skin chain at friction {min(presses.friction):g} and "
-                  f"{max(presses.friction):g}, up to {presses.force[-1]:g} N.")  # fmt: skip
+    frictions = f"{min(presses.friction):g} and {max(presses.friction):g}"
+    shown = f"The skin chain at friction {frictions}, up to {presses.force[-1]:g} N."
+    return movie_pictures(presses, _CHAIN_STEP), shown
 
 
-def _movie_strain(study: PressStudy) -> Drawn:
-    return _strip(
-        list(_strain_frames(study)), "Strains and strain energy density at the same forces, on common scales."
-    )
+def _movie_strain(study: PressStudy) -> tuple[Iterator[Picture], str]:
+    return _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."
 
 
-def _write_contact(study: PressStudy, path: Path) -> None:
-    write_atomically(path, lambda part: encode_video(_held(list(_processed_frames(study)), 2), part))
-
-
-def _write_chain(study: PressStudy, path: Path) -> None:
-    write_movie(study.sources.presses, path, progress=False)
-
-
-def _write_strain(study: PressStudy, path: Path) -> None:
-    write_atomically(path, lambda part: encode_video(_held(list(_strain_frames(study)), 5), part))
-
-
-FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
+FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
     PrintedFigure("S1", "A: sliding trial in time; B: friction against α; C, D: apparent area; E, F: real area, with "
                   "difference images at 1, 2, 3 N", _friction_and_area),
     PrintedFigure("S2", "A: rail, 30°; B: friction reduction device and optics", _no_photographs),
-    PrintedFigure("S3", "A1 to 6: raw, normalised, subtracted and filtered, binarised, opened with ellipse, area against"
-                  " force; B1 to 6: raw, enhanced, features, tracks, divergence map, median divergence", _stages),
+    PrintedFigure("S3", "A1 to 6: raw, normalised, subtracted and filtered, binarised, opened with ellipse, area "
+                  "against force; B1 to 6: raw, enhanced, features, tracks, divergence map and median", _stages),
     PrintedFigure("S4", "A: finger geometry; B: L, a against δ; C: strain against δ", _half_sphere),
-    PrintedFigure("S5", "A: force in time; B, C, D: histograms of force, time to maximum, duration; E to G, I: answers;"
-                  " H: force rate; J: largest displacement; K: speed of the furthest point", _kinematics),
+    PrintedFigure("S5", "A: force in time; B, C, D: histograms of force, time to maximum, duration; E to G, I: "
+                  "answers; H: force rate; J: largest displacement; K: speed of the furthest point", _kinematics),
     PrintedFigure("S6", "displacement field split into conservative components", _decomposition),
     PrintedFigure("S7", "A: global displacement, B: peak force angle by α; C to E: answers", _displacement_and_angle),
     PrintedFigure("S8", "A, C: images with triangulation, low and high friction; B, D: strain maps; E, F: strains and "
@@ -321,9 +287,8 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
     PrintedFigure("S11", "A: Gaussian fits over normalised divergence; B: ROC; C: d' and AUC", _observer),
     PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α", _groups),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
-    PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact,
-                  _write_contact),
+    PrintedMovie("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
     PrintedFigure("M2", "protocol; contact and ridge images", _movie_protocol),
-    PrintedFigure("M3", "deformation of the surface finger model", _movie_chain, _write_chain),
-    PrintedFigure("M4", "surface strains and energy density, high and low friction", _movie_strain, _write_strain),
+    PrintedMovie("M3", "deformation of the surface finger model", _movie_chain, 4),
+    PrintedMovie("M4", "surface strains and energy density, high and low friction", _movie_strain, 8),
 )  # fmt: skip

@@ -21,7 +21,7 @@ from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.report.slip_figures import AREA, LOAD
-from fingerflow.reproduce.drawn_figure import PrintedFigure
+from fingerflow.reproduce.drawn_figure import Drawn, PrintedFigure
 from fingerflow.reproduce.slides import ABRUPT, FADING, JudgedSlide, Slides
 
 Values = NDArray[np.float64]
@@ -37,7 +37,7 @@ _STYLES: dict[str, dict[str, Any]] = {
 _MARKS = ("o", "s", "^", "D")
 
 
-def _picture(slides: Slides) -> tuple[Figure | None, str]:
+def _picture(slides: Slides) -> Drawn:
     one = slides.of(ABRUPT)[0]
     result = one.trial.result
     frame = max(one.trial.verdict.collapse_frame, 1)
@@ -59,7 +59,7 @@ def _picture(slides: Slides) -> tuple[Figure | None, str]:
     )
 
 
-def _models(_: Slides) -> tuple[Figure | None, str]:
+def _models(_: Slides) -> Drawn:
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     load: Values = 1 - np.linspace(1, 0, 400) ** 3
@@ -92,15 +92,15 @@ def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, wid
         axes.plot(largest / over, smallest, "o", color=INK, markersize=4)
 
 
-def _abrupt(slides: Slides) -> tuple[Figure | None, str]:
+def _abrupt(slides: Slides) -> Drawn:
     return _set(slides.of(ABRUPT), "The thick lines are the fitted collapse, with its duration.")
 
 
-def _fading(slides: Slides) -> tuple[Figure | None, str]:
+def _fading(slides: Slides) -> Drawn:
     return _set(slides.of(FADING), "The area fades without a collapse.")
 
 
-def _set(own: list[JudgedSlide], about: str) -> tuple[Figure | None, str]:
+def _set(own: list[JudgedSlide], about: str) -> Drawn:
     """Draw the measured curves of a set, and the four models fitted to all of them."""
     judged = [one for one in own if one.trial.verdict.loss_load_ratio > 0]
     if not judged:
@@ -149,7 +149,7 @@ def _draw_models(axes: Axes, found: CurveComparison) -> None:
             axes.plot(family.load(area)[:, 0] * values[0], area, label=name, **_STYLES[name])
 
 
-def _over_time(slides: Slides) -> tuple[Figure | None, str]:
+def _over_time(slides: Slides) -> Drawn:
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     for kind, colour, style in ((ABRUPT, RED, "-"), (FADING, INK, "--")):

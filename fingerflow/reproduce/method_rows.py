@@ -21,6 +21,7 @@ from fingerflow.report.half_sphere import DEPTH_MM, RADIUS_MM
 from fingerflow.report.simulated_presses import HIGH
 from fingerflow.reproduce.presses import PressStudy
 from fingerflow.reproduce.printed_row import Obtained, Row, exactly, number, rounded, unobtainable
+from fingerflow.reproduce.stages_of_a_press import contact_mask
 from fingerflow.reproduce.tribometer_trace import MODULATION_HZ
 from fingerflow.synthetic import SyntheticScene
 
@@ -74,8 +75,8 @@ def _camera(study: PressStudy) -> Obtained:
     used = study.truth_of(entry)
     view = used.views["contact"].shape
     return Obtained(
-        f"{rig.frame_rate:g} fps, {rows} x {columns} px, {size[0]:.1f} x {size[1]:.1f} mm by default; here, to be small, "
-        f"{used.frame_rate:g} fps, {view[0]} x {view[1]} px of {1000 * used.mm_per_px:.1f} µm",
+        f"{rig.frame_rate:g} fps, {rows} x {columns} px, {size[0]:.1f} x {size[1]:.1f} mm by default; here, to be "
+        f"small, {used.frame_rate:g} fps, {view[0]} x {view[1]} px of {1000 * used.mm_per_px:.1f} µm",
         exactly(rig.frame_rate, rows, columns, *size),
         because=f"16 mm over 512 px and 21 mm over 640 px are {16e3 / 512:.1f} and {21e3 / 640:.1f} µm: pixels are "
         f"square, of {1000 * rig.mm_per_px:g} µm here",
@@ -84,9 +85,13 @@ def _camera(study: PressStudy) -> Obtained:
 
 def _median_filter(study: PressStudy) -> Obtained:
     size = study.scene.contact.median_px
+    high, _ = study.typical
+    areas = {side: int(contact_mask(high.result, high.scene, high.peak, side).sum()) for side in (size, 9, 11)}
+    less = {side: 100 * (1 - area / areas[size]) for side, area in areas.items()}
     return Obtained(
         f"{size} x {size}; any odd size is a setting (contact.median_px)", exactly(size),
-        because="the text has 9 x 9, the figure a radius of 5, 11 x 11",
+        because=f"a median rounds the ends of ridges: 9 x 9 takes {less[9]:.0f} % of the real area of a press, and "
+        f"11 x 11, the radius of 5 of the figure, {less[11]:.0f} %",
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_chain import press
@@ -33,10 +34,11 @@ from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
 _TRUTHS = 16  # trials whose deformation is compared with the truth
+_SLOPE_S = 0.12  # over which rates of the chain are fitted
 _LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
 
-_FULL = Design(participants=16, trials=4)
+_FULL = Design(participants=16, trials=2)
 _QUICK = Design(participants=4, trials=1)
 _RESAMPLES = {False: 2000, True: 400}
 
@@ -161,7 +163,29 @@ class PressStudy:
             displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
             moved.append(np.nanmedian(displacement, axis=0) - np.array((truth.displacement_x, truth.displacement_y)))
             spread.append(float(result["median_divergence"][frame]) - truth.divergence)
-        return np.array(moved), np.array(spread)
+        both = np.array(moved), np.array(spread)
+        known = np.isfinite(both[0]).all(1) & np.isfinite(both[1])
+        return both[0][known], both[1][known]
+
+    @cached_property
+    def chain_strain(self) -> dict[float, tuple[Values, Values]]:
+        """Return the skin chain's median radial strain (%) since the undeformed finger, at 1, 2 and 3 N, and the forces
+        (N) at the largest rates of that strain and of its energy, (2,), by friction.
+        """
+        presses = self.sources.presses
+        strain = 100 * np.median(presses.profile().radial, axis=-1)
+        step = float(presses.time[1] - presses.time[0])
+        width = 2 * round(_SLOPE_S / step / 2) + 1
+        found = {}
+        for place, friction in enumerate(presses.friction):
+            at = np.interp((1.0, 2.0, 3.0), presses.force, strain[:, place])
+            peaks = []
+            for series in (strain[:, place], presses.energy()[:, place]):
+                rate = savgol_filter(np.nan_to_num(series), width, polyorder=1, deriv=1, delta=step)
+                inner = slice(width, len(rate) - width)
+                peaks.append(float(presses.force[inner][np.argmax(rate[inner])]))
+            found[friction] = at, np.array(peaks)
+        return found
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":

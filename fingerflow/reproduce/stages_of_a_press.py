@@ -11,7 +11,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from fingerflow import plot
-from fingerflow.plot.axes_style import GREEN, INK
+from fingerflow.plot.axes_style import GREEN, YELLOW
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.recordings import open_recording
 from fingerflow.report.supplement import SheetPanel
@@ -19,6 +19,7 @@ from fingerflow.schema.scene import Scene
 
 Picture = NDArray[np.float32]
 _PRINTED_RADIUS = 5  # px of the median filter in figure S3 A
+_MAGNIFIED = 10  # displacements of drawn tracks
 _BLUR_PX = 21  # side of the local mean that is taken off for the enhanced picture
 
 
@@ -51,7 +52,7 @@ def skin_stages(result: xr.Dataset, scene: Scene, frame: int, first: int) -> lis
         _picture("B1, raw", raw),
         _picture("B2, contrast, sharpened", enhanced),
         SheetPanel.of_axes("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
-        SheetPanel.of_axes("B4, tracks", lambda axes: _tracks(axes, result, scene, frame)),
+        SheetPanel.of_axes(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
         SheetPanel.of_axes("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
         SheetPanel.of_axes("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
     ]
@@ -63,12 +64,15 @@ def view_of(scene: Scene, name: str, frame: int) -> Picture:
         return np.asarray(scene.views[name].crop(recording[frame]), dtype=np.float32)
 
 
-def contact_mask(result: xr.Dataset, scene: Scene, frame: int) -> NDArray[np.bool_]:
-    """Return where the skin touches in a frame: counts below the result's threshold of the light of the empty glass."""
+def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | None = None) -> NDArray[np.bool_]:
+    """Return where the skin touches in a frame: counts below the result's threshold of the light of the empty glass.
+
+    The median is that of the scene, unless `median_px` states another.
+    """
     light = _empty(scene)
     share = view_of(scene, "contact", frame) / np.maximum(light, 1e-6)
     levels = np.clip(np.round(200 * share), 0, 255).astype(np.uint8)
-    filtered = cv2.medianBlur(levels, scene.contact.median_px)
+    filtered = cv2.medianBlur(levels, median_px or scene.contact.median_px)
     dark = filtered < 200 * (1 - float(result["contact_threshold"][frame]))
     return np.asarray(dark & (light > 0.1 * light.max()))
 
@@ -113,7 +117,8 @@ def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
     position = result["position"].values[: frame + 1]
     known = np.flatnonzero(np.isfinite(position).all((0, 2)))
     for point in known[:: max(1, len(known) // 150)]:
-        axes.plot(*in_pixels(position[:, point], matrix).T, color=INK, linewidth=0.9)
+        track = position[0, point] + _MAGNIFIED * (position[:, point] - position[0, point])
+        axes.plot(*in_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
     return axes
 
 
