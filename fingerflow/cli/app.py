@@ -1,4 +1,4 @@
-"""Typer application to which all commands are added, and options that several commands share."""
+"""Define the Typer application of all commands, and the options that several commands share."""
 
 import json
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ Overwrite = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; the import of torch waits until then."""
+    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; torch is imported only here."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)

@@ -53,7 +53,7 @@ def slip(
     figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Judge whether the stuck area of each trial vanishes abruptly or fades."""
+    """Classify trials of tangential loading: does the stuck area vanish abruptly or shrink gradually?"""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
     from fingerflow.schema.scene import load_scene
 
@@ -110,7 +110,7 @@ def figures(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
+    """Draw figures of Willemet et al. 2021 from simulations, a tribometer trace and a table of trials."""
     from fingerflow.models.observer import FORCED_CHOICE, YES_NO
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.report.trials_file import load_trials

@@ -39,7 +39,7 @@ def init(
         Path | None, typer.Option(help="A CSV file: participant, trial, answer (1 or 0), and what else is known.")
     ] = None,
 ) -> None:
-    """Write study.toml and trials.csv from what a folder holds."""
+    """Write study.toml and trials.csv for the recordings found in a folder."""
     from fingerflow.study.init import init_study
 
     found = init_study(folder, answers)
@@ -82,7 +82,7 @@ def run(
 
 @study.command()
 def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
-    """Write the page of a study: trials, figures and statistics, from what `run` has left."""
+    """Write the page of a study (trials, figures and statistics) from the results of `run`."""
     from fingerflow.study.cluster import Interrupted
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
@@ -102,7 +102,7 @@ def simulate(
     trials: Annotated[int, typer.Option(min=1, help="Pairs of presses, of each participant in each condition.")] = 2,
     seed: int = 0,
 ) -> None:
-    """Write small recordings of a study with known truth, and the answers of an observer of known sensitivity.
+    """Write small synthetic recordings of a study with known truth, and the answers of a simulated observer.
 
     Each trial is a pair of presses: a reference, and a comparison on glass that vibrates.
     """

@@ -1,4 +1,4 @@
-"""Check of an engine, by comparison of results for a built-in frame with the results stored in the bundle.
+"""Self-test of an engine: results for a built-in frame are compared with those stored in the bundle.
 
 An engine with other results computes wrongly on this computer.
 """
@@ -27,7 +27,7 @@ _FLIPS = 0.01  # share of the values that may be finite in only one of both resu
 
 
 class Tolerance(NamedTuple):
-    """Tolerance of the check: the largest difference between two results that rounding explains, with a unit.
+    """Tolerance of the self-test: the largest difference that rounding can cause, with its unit.
 
     If `relative`, it is a share of the value.
     """

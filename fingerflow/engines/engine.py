@@ -1,4 +1,4 @@
-"""Interface of the engines, and the arrays that are passed to and from them."""
+"""Define the interface of the engines, with the arrays that are passed to and from them."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class TemplateBuffers(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (N, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (N, 32) in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
@@ -236,7 +236,7 @@ class Engine(Protocol):
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) that is True for points (K, N, 2) px of the topography view under the apparent contact.
+        """Return a mask (K, N) of points (K, N, 2) px of the topography view that lie in the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """
@@ -247,7 +247,7 @@ class Engine(Protocol):
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of the frame's noise."""
+        """Return a copy of a frame (1, 1, H, W) as key frame, with the standard deviation of its noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
@@ -328,7 +328,7 @@ class Engine(Protocol):
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return an empty tracking result: that of a number of frames without points."""
+    """Return the empty tracking result of `frames` frames without any points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

@@ -39,7 +39,7 @@ _SUPPORTS = 4  # sets of points whose neighbours are cached
 
 
 class _KeyImage:
-    """Image of a key frame (1, 1, H, W), and spline coefficients that are computed for the first template update."""
+    """Image of a key frame (1, 1, H, W); its spline coefficients are computed at the first template update."""
 
     def __init__(self, view: Array) -> None:
         self.view, self.spline = view, None
@@ -59,7 +59,7 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (n, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (n, 32) in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
@@ -193,7 +193,7 @@ class OnnxEngine:
     def _look(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
     ) -> FoundPoints:
-        """Look for templates in a frame: track those with indices `rows` (L,) near guessed positions (L, 2)."""
+        """Track the templates with indices `rows` (L,) in a frame, starting from guessed positions (L, 2)."""
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
             near[0, rows] = guess
@@ -300,7 +300,7 @@ class OnnxEngine:
         return {key: np.concatenate([part[key] for part in parts], axis=1)[:, :count] for key in parts[0]}
 
     def _all(self, **given: Array) -> dict[str, Array]:
-        """Pad arrays (1, n, ...) to all N points of the ONNX graphs: with NaN, or 0 for integers.
+        """Pad arrays (1, n, ...) to the fixed number N of points of the ONNX graphs, with NaN, or 0 for integers.
 
         Raises:
             FingerflowError: one has more points.

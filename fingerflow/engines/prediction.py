@@ -11,7 +11,7 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, Track
 
 
 class Course(NamedTuple):
-    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, and True (N,) if found."""
+    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, mask (N,) of found points."""
 
     place: Array
     speed: Array
@@ -28,8 +28,7 @@ class Course(NamedTuple):
         return guess
 
     def see(self, found: FoundPoints) -> Course:
-        """Return the motion after one more frame, in which the tracker has seen the points at the positions `found` (1,
-        N).
+        """Return the motion after one more frame, in which the points were tracked to the positions `found` (1, N).
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is

@@ -326,7 +326,7 @@ class TorchEngine:
         ]
 
     def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Concatenate points found in frames of several recordings; return the recording of each frame, and the points.
+        """Concatenate the points found in several recordings; return the recording index of each frame, and the points.
 
         The first result is None for a single recording.
         """
@@ -339,7 +339,10 @@ class TorchEngine:
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
     def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Repeat the values (N, ...) of each recording for each of its frames; (1, N, ...) for a single recording."""
+        """Repeat the values (N, ...) of each recording for each of its frames.
+
+        The result is (1, N, ...) for a single recording.
+        """
         given = self._tensor(stacked(values))
         return given if own is None else given[own]
 

@@ -170,7 +170,7 @@ class _Executed:
 
 
 def _room(points: int) -> int:
-    """Return the number of points, a power of 2, to which tensors of `points` points are padded; 0 for none."""
+    """Return the power of 2 to which a number of points is padded; 0 for 0 points."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 

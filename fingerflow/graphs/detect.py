@@ -88,7 +88,7 @@ class DetectGraph(nn.Module):
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
-    """Return how many of the pixels [first, last) lie within `edge` px of the start, and of the end, of an axis."""
+    """Count the pixels [first, last) within `edge` px of the start of an axis, and within `edge` px of its end."""
     start = min(max(edge - first, 0), last - first)
     return start, min(max(last - (length - edge), 0), last - first - start)
 

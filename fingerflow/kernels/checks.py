@@ -1,4 +1,4 @@
-"""Checks of the arrays passed to kernels, and conversion of these arrays to kernel arguments."""
+"""Check the arrays passed to kernels, and convert them to kernel arguments."""
 
 from fingerflow.kernels.arrays import (
     KINDS,

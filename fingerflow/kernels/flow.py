@@ -30,7 +30,7 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """Fields of the first of two images, from which the dense optical flow between them is computed."""
+    """Fields computed from the first of two images, as needed for the dense optical flow between them."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask
@@ -42,7 +42,7 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class Left(NamedTuple, Generic[Array]):
-    """Residual left by a flow: means over cells of what displacement and illumination do not explain."""
+    """Residual of a flow: cell means of the image difference that displacement and illumination do not explain."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -72,7 +72,7 @@ def _computed(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return the kernel arguments batch, height and width of images (B, 1, H, W), and shapes of image and cell grid."""
+    """Return the size arguments for images (B, 1, H, W), and the shapes of the image and of the cell grid."""
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 
@@ -82,7 +82,7 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return a symmetric window as kernel arguments: the weights from the middle on; raise ValueError if asymmetric."""
+    """Return half of a symmetric window as kernel arguments; raise ValueError if the window is asymmetric."""
     if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
         raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2
@@ -211,7 +211,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Compute the fields of the first of two images for dense flow, as `ops.flow.dense_flow`.
+    """Compute the fields of the first image that dense flow needs, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """

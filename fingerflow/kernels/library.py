@@ -161,7 +161,7 @@ def limit_instruction_set(most: int) -> int:
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """Make parts of the kernels' work fail from now on, for tests; `fault` 0 ends this.
+    """Make parts of the kernels' work fail, for tests; `fault` 0 restores normal operation.
 
     Faults are numbered as in kernels/parallel.h.
     """

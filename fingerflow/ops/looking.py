@@ -7,7 +7,7 @@ from fingerflow.kernels.tensors.serving import is_recorded
 
 
 def looks(*tensors: Tensor | None) -> bool:
-    """Return True if code may look at the values of `tensors`, to branch on them or derive shapes from them.
+    """Return True if code may depend on the values of `tensors`, for branches or shapes.
 
     It may not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """

@@ -10,6 +10,12 @@ from fingerflow.ops.looking import looks
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS = 1 << 19
+_WINDOWS = 1 << 12  # about 1 GB of intermediate results, for windows of 25 px
+
+
+def points_at_once(like: Tensor, in_cache: int) -> int:
+    """Return how many windows to compute at once: `in_cache` on a CPU, on other devices what their memory holds."""
+    return in_cache if like.is_cpu else _WINDOWS
 
 
 def frames_at_once(frames: Tensor) -> int:

@@ -113,7 +113,7 @@ class PageServer(ThreadingHTTPServer):
         self.opening = f"http://{host!s}:{port}/?token={self.token.text}"
 
     def stop(self) -> None:
-        """Stop the server of the live page; an open page is served a little longer, to show the end of the stream."""
+        """Stop the server of the live page, with a short delay in which an open page shows the end of the stream."""
         if self._live.is_watched():
             time.sleep(_LAST_LOOK)
         self.shutdown()

@@ -1,4 +1,4 @@
-"""Secret token of a page: in the address that opens the page, then in a cookie that only the page's requests carry."""
+"""Secret token of a page, sent in the address that opens the page and then in a cookie."""
 
 import hmac
 import html

@@ -93,7 +93,9 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """Return the mean (H, W) float32 of a view over the first 64 frames of a file with full frames or this view only.
+    """Return the mean image (H, W) float32 of a view over the first 64 frames of a file.
+
+    The frames of the file are full frames, or show this view only.
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """

@@ -56,8 +56,9 @@ class Quantity:
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major one from x
-    towards y (rad).
+    """Return the principal strains (M, 2) of triangles, major first, and the direction (M,) of the major one, rad.
+
+    The direction is measured from x towards y.
 
     They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
     """

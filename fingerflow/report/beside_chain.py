@@ -29,7 +29,7 @@ _COLOURS = (RED, GREEN, YELLOW, GREY)
 
 @dataclass(frozen=True)
 class BesideChain:
-    """Measured press at T known forces, beside predictions (K, T) of the skin chain for K friction coefficients.
+    """Measured press at T known forces, with predictions (K, T) of the skin chain for K friction coefficients.
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """

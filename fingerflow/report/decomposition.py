@@ -32,8 +32,9 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose a displacement field into the parts of its least-squares linear fit about the centre of the points, and
-    the rest.
+    """Decompose a displacement field into the parts of its linear least-squares fit, and the rest.
+
+    The fit is about the centre of the points.
 
     Args:
         points: (P, 2) mm, reference positions x and y.

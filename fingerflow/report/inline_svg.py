@@ -1,4 +1,4 @@
-"""Inline SVG of a matplotlib figure for an HTML page, and the values of its curves for the page's cursor."""
+"""Convert a matplotlib figure to inline SVG for a page, with curve values that the page shows at the cursor."""
 
 import base64
 import io
@@ -66,7 +66,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the values of the named curves in axes, to read off with the cursor on the page, and the axes' position.
+    """Return the values of named curves, which the page shows at the cursor, and the position of the axes.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.

@@ -30,7 +30,10 @@ _QUANTITIES = (
 
 @dataclass(frozen=True)
 class Line:
-    """Row of the table of key numbers: quantity, unit, and value at each key frame as text, an en dash for NaN."""
+    """Row of the table of key numbers: quantity, unit, and value at each key frame as text.
+
+    An en dash stands for NaN.
+    """
 
     name: str
     unit: str

@@ -54,7 +54,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: title, and panels of which one is shown at a time, at first that of index ``first``."""
+    """Section of the page: title, and panels of which one is shown at a time, beginning with panel ``first``."""
 
     title: str
     panels: list[Panel]

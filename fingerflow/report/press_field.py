@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True displacement and curl at P points in the last frame's contact, median curl in F frames; NaN if none."""
+    """True displacement and curl at P points of the contact in the last frame, and median curl in F frames."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact

@@ -78,7 +78,10 @@ class Profile:
 def simulate_presses(
     friction: Sequence[float] = FRICTIONS, times: int = _TIMES, elements: int = _ELEMENTS
 ) -> SimulatedPresses:
-    """Press a chain whose contact has the printed area with a force that rises to 3 N in a second, at each friction."""
+    """Simulate a press with a force that rises to 3 N in a second, at each friction coefficient.
+
+    The contact of the skin chain has the area printed in the paper.
+    """
     time = torch.linspace(0, 1.0, times, dtype=torch.float64)
     force = 3.0 * time
     skin = PARAMETERS["fitted"]
@@ -187,7 +190,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, by turning each chain about its axis.
+    """Return extents (mm) and strain maps (2, H, W, 3) of the contact at low and high friction, by rotational symmetry.
 
     They are those at full load; NaN off contact.
     """

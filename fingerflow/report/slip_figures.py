@@ -59,7 +59,7 @@ def draw_trial(
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: d^2 against T/N, the 5 % corridor about T/N at the loss, the collapse, the fit."""
+    """Draw figures 2 b and c: stuck area share d^2 against load ratio T/N, with 5 % corridor, collapse and fit."""
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
     axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
     if np.isfinite(verdict.loss_load_ratio):
@@ -78,7 +78,7 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for a set: d^2 against T/N relative to the loss, coloured by verdict, with counts.
+    """Draw figures 2 b and c for many trials: d^2 against T/N relative to the loss of adhesion, coloured by verdict.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """

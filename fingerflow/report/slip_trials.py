@@ -44,7 +44,7 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return as one line the verdicts on a trial by change point, published rule and model, with their numbers."""
+    """Return one line with the verdicts on a trial by change point, published rule and model."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -58,7 +58,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return as one line the number of trials of each verdict, by the change point and by the published rule."""
+    """Return one line with the number of trials of each verdict, by the change point and by the published rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),

@@ -144,7 +144,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return the line styles of the presses, ever thinner, as nearly equal curves would hide each other."""
+    """Return line styles of decreasing width for the presses, so that nearly equal curves stay visible."""
     widths = np.linspace(3.5, 0.9, len(presses.friction))
     return [
         {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}
@@ -153,7 +153,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return as text the ratios of values (K,) at the high friction to those at the low and at the least friction."""
+    """Return a text with the ratios of values (K,) at high friction to those at low and at least friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

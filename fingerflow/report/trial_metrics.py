@@ -62,7 +62,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
+    """Draw figures S5 E, F and G: share of answers in eight bins of a metric, with 95 % intervals and an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
@@ -109,8 +109,9 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
-    ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric of the trials by vibration amplitude, with an ANOVA.
+
+    Trials, medians and mean ± SD are drawn.
 
     Args:
         axes: axes to draw into.

@@ -127,6 +127,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile of values, so that a few large values do not matter."""
+    """Return an upper axis limit from the 0.99 quantile of values, to ignore outliers."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

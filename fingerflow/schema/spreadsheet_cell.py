@@ -1,4 +1,4 @@
-"""Text cells of CSV files that a spreadsheet program must not take for a formula."""
+"""Quote text cells of CSV files that a spreadsheet program would run as a formula."""
 
 from typing import Any
 

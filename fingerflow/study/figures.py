@@ -34,7 +34,7 @@ _MOST_NAMED = 12  # most conditions in a legend
 def write_figures(
     frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE
 ) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Write the figures of a study as PNG; return for each its name, its file ("" if not drawn), and what was left out.
+    """Write the figures of a study as PNG; return name, file ("" if not drawn) and omissions of each.
 
     Args:
         frame: the table of trials.

@@ -36,7 +36,7 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that has it."""
+    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that deviates."""
 
     deviations: float
     metric: str

@@ -1,4 +1,4 @@
-"""Table of trials of a study, and curves averaged by condition, from the stored rows of all trials."""
+"""Write the table of trials of a study and the curves averaged by condition, from the stored rows of all trials."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

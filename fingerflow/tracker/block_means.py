@@ -53,7 +53,7 @@ def block_means(frames: Array) -> BlockMeans:
 
 @functools.cache
 def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the steps between the lines and pixels read of a frame, and the numbers of rows and columns of blocks."""
+    """Return the sampling steps between lines and between pixels, and the numbers of rows and columns of blocks."""
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
     read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))

@@ -43,7 +43,7 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (N,) of the points advected into the contact, in contrast to those that contact growth covered.
+    """Return a mask (N,) of points that moved into the contact (advected), rather than being reached by its growth.
 
     A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
     than half the distance by which border and point approached each other. Neighbours enter one after the other as the
@@ -70,14 +70,14 @@ def advected(
     counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
     here = np.flatnonzero(counts)
     found = np.zeros(len(onset), dtype=bool)
-    found[here] = _by_own_way(position, here, onset[here], reference[here], gauge_mm, border)
+    found[here] = _by_own_motion(position, here, onset[here], reference[here], gauge_mm, border)
     return with_neighbours(found, places, counts, NEAR * gauge_mm)
 
 
-def _by_own_way(
+def _by_own_motion(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (E,) of the points that entered the contact by their own motion, not by growth of the contact.
+    """Return a mask (E,) of points that approached the contact border mainly by their own motion.
 
     `here` (E,) are the indices of these points in `position`.
     """
@@ -236,6 +236,6 @@ class Entries:
         if len(rows):
             past = self._position[:, rows][order]
             given = (onset[rows], self._reference[rows], self._gauge, self._border.at(order))
-            self.entered[rows] |= _by_own_way(past, np.arange(len(rows)), *given)
+            self.entered[rows] |= _by_own_motion(past, np.arange(len(rows)), *given)
         later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._places).all(1)
         self.entered = with_neighbours(self.entered, self._places, later, NEAR * self._gauge)

@@ -1,4 +1,4 @@
-"""Image distances between frames, computed from block means: of the image pattern and of the overall light."""
+"""Distances between frames in image pattern and in overall light, computed from block means."""
 
 from __future__ import annotations
 

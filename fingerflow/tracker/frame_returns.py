@@ -73,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
+    """Return the length, in frames, of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -91,7 +91,7 @@ def _length_of_jump(
 
 
 def _steps(distances: Distances) -> tuple[Distances, Distances]:
-    """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
+    """Return two distances (F, rows) of each frame: from the closer of two preceding, and of two following frames.
 
     They are 0 where there are none.
     """
@@ -103,13 +103,13 @@ def _steps(distances: Distances) -> tuple[Distances, Distances]:
 
 
 def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the denominator of the quotient that detects jumps: the largest of the given distances and 1."""
+    """Return the denominator of the jump measure: the largest of the given distances and 1."""
     result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
     return result
 
 
 def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that is large if the image jumps.
+    """Return a measure (F - length - 1, rows) for each run of `length` frames that is large if the image jumps.
 
     It is the distance of the run from the two frames around it, over the distance between these two.
     """
@@ -142,7 +142,7 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
 
 
 def _reversed(distances: Distances) -> Distances:
-    """Reorder the distances of `block_distances` as if the frames came in reversed order."""
+    """Convert the distances of `block_distances` to those of the frames in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):

@@ -352,7 +352,7 @@ class StreamTracker:
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
     def _know(self, motion: _Known) -> None:
-        """Set the point motion used for the next predictions, as if it had been known for `lag` frames."""
+        """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
 

@@ -1,4 +1,4 @@
-"""Onset of contact: frame and position at which each skin point comes into contact with the glass."""
+"""Determine the onset of contact: frame and position at which each skin point first touches the glass."""
 
 from __future__ import annotations
 

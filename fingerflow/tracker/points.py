@@ -70,7 +70,7 @@ class _Pending(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Tracked points of a frame after recovery of lost points and correction, before motion and templates are updated.
+    """Tracked points of a frame after recovery and correction, before motion and templates are updated.
 
     Attributes:
         corrected: (1, N) points.
@@ -354,7 +354,7 @@ class Points:
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
-        """Predict positions (N, 2) px in a frame from the neighbours of each point found in that frame so far."""
+        """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 

@@ -1,4 +1,4 @@
-"""Lost-point recovery: search for points that registration did not find near their predicted positions."""
+"""Search for lost points, which registration did not find near their predicted positions."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoin
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return tracking results (n, N) in which those of the points `rows` are replaced by `again`."""
+    """Replace the tracking results (n, N) of the points `rows` by the results `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

@@ -1,4 +1,4 @@
-"""Slip flag of a stream: whether the rim of the contact moves along the glass while its middle stays behind."""
+"""Detect slip in a stream: the rim of the contact moves along the glass while its middle stays behind."""
 
 from __future__ import annotations
 

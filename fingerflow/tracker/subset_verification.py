@@ -1,4 +1,4 @@
-"""Subset verification: comparison of each point's window with the key frame, to detect points on wrong skin."""
+"""Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Schedule of a stream: frames in which to measure the contact threshold, reseed, or take a new key frame."""
+"""Schedule contact thresholds, reseedings and new key frames of a stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTTP connection with a limit on their number, and on the time in which a request must be complete."""
+"""HTTP connections of a server, limited in number and in the time of a request."""
 
 import asyncio
 

@@ -62,7 +62,10 @@ class Guard:
 
 
 def _opens(headers: Headers, scope: Scope) -> bool:
-    """Return whether a request only opens the start page by a link from another site; it still needs the token."""
+    """Return whether a request only opens the start page by a link from another site.
+
+    Such a request is allowed, but needs the token.
+    """
     return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
 
 

@@ -10,7 +10,7 @@ from fingerflow.player.page_token import redirect
 
 @contextmanager
 def redirect_file(address: str) -> Iterator[Path]:
-    """Yield an HTML file that redirects to an address and that no other user can read; it is removed at the end.
+    """Yield a temporary HTML file that redirects to an address and that no other user can read.
 
     Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
     """

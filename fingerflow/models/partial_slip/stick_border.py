@@ -35,7 +35,7 @@ _FEWEST = 8  # distances with a displacement
 
 
 class BorderFit(NamedTuple):
-    """Border of a stick region, fitted by `fit_border`: position, and growth of the displacement beyond that border.
+    """Fitted border of a stick region: position, and growth of the displacement beyond the border.
 
     Attributes:
         growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
@@ -51,8 +51,9 @@ class BorderFit(NamedTuple):
 
 
 def window_places(half_window: float) -> Values:
-    """Return offsets (K,) mm of a square window's pixels along the normal of a border, pooled over directions of the
-    border.
+    """Return distances (K,) mm of a square window's pixels from its centre along the normal of a border.
+
+    They are pooled over several directions of the border.
 
     The positions are sorted.
     """
@@ -62,13 +63,13 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return window means of a displacement x^p beyond a border, at distances (K,) mm from it (negative inside)."""
+    """Return the window mean of a displacement x^p beyond a border, at window distances (K,) mm (negative inside)."""
     places = window_places(half_window)
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 
 
 def border_level(width: Values, growth: float, seen: Seen) -> Values:
-    """Return the displacement, mm (K,), that is measured at a stick border if the slipping annulus is (K,) mm wide."""
+    """Return the displacement (K,), mm, measured at a stick border beside a slipping annulus (K,) mm wide."""
     return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 

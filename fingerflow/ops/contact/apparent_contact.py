@@ -42,7 +42,7 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent contact, the region in which ridges touch about half as densely as in its middle, or more.
+    """Segment the apparent contact, where touching ridges are at least about half as dense as in its middle.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
@@ -168,7 +168,7 @@ def _slope(density: Tensor) -> Tensor:
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """Return the connected component of a region that contains the densest cell, resolved to blocks of 8 x 8 cells.
+    """Return the connected component of a region that contains the densest cell, at a resolution of 8 x 8 cells.
 
     The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
     is longer is cut off there.
@@ -199,7 +199,7 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the area of a region, and the centre, semi-axes and angle of the ellipse that has the region's moments.
+    """Compute the area of a region, and centre, semi-axes and angle of the ellipse with equal moments.
 
     Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """

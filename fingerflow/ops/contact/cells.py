@@ -1,4 +1,4 @@
-"""Reduction of images to means over square cells, and interpolation between cells.
+"""Reduce images to means over square cells, and interpolate between cells.
 
 Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
 """
@@ -102,7 +102,7 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the two cells whose centres enclose each pixel of a line, as indices, and the weight of the second cell.
+    """Return the indices of the two cells between whose centres each pixel lies, and the weight of the second cell.
 
     The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`.
     Each result is (pixels,).

@@ -1,4 +1,4 @@
-"""Connected components of masks: hole filling and the largest component, from horizontal runs of pixels.
+"""Fill holes and find the largest connected component of masks, from horizontal runs of pixels.
 
 A mask of half a million pixels has only about ten thousand horizontal runs. They are the nodes of a graph; an edge
 joins two runs of neighbouring rows that touch. The components of the graph are found by hooking and pointer jumping

@@ -121,8 +121,7 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 
 
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
-    """Return the level half-way between the median of the histogram levels above `level` and the median of the levels
-    up to it.
+    """Return the mean of two medians: of the histogram levels above `level`, and of the levels up to `level`.
 
     The histograms are (B, 256). `level` is (B,). The mean is NaN where no count lies above. Without counts up to the
     level, the lower class replaces their median.

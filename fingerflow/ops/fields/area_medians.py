@@ -15,7 +15,7 @@ from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
 from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
-from fingerflow.ops.tensors import finite, products, sum_rows, symmetric
+from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
 
 _FAR = 1e3  # radii: coordinate of excluded points, far from all positions
 _TINY = 1e-30
@@ -35,7 +35,7 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points kept apart from the local fits, because their divergence, curl and strain are already given."""
+    """Points excluded from the local fits, because their divergence, curl and strain are given."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -125,8 +125,9 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians without the points that are unknown in every frame, or with all points while torch traces a
-    graph.
+    """Compute the medians without the points that are unknown in every frame.
+
+    All points are used while torch traces a graph.
 
     The known points are few while a contact grows.
     """
@@ -179,7 +180,7 @@ def _medians(
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
     places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
-    along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
+    along, across = (axes / radius * constant_like(_LATTICE, displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
     fit = fit_planes(places, displacement, positions, usable, radius)
     xx, xy, yx, yy = fit.gradient.split(1, dim=1)
@@ -239,7 +240,7 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
 
 
 class _OfNearest(NamedTuple):
-    """Fields at Q positions, taken from the nearest point where that point belongs to `Apart`."""
+    """Fields of the nearest point at Q positions, where that point is excluded from fits (`Apart`)."""
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -248,7 +249,7 @@ class _OfNearest(NamedTuple):
 
 
 def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Return the fields of the nearest point, for each position whose nearest point belongs to `Apart`.
+    """Return the fields of the nearest point for each position, where that point is excluded from fits (`Apart`).
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -284,8 +285,7 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) of each position in the error of a median: large where the field lies beside the
-    median.
+    """Return the weight (B, 5, Q) of each position in the error of a median: large for values close to the median.
 
     The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
     median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,

@@ -45,7 +45,7 @@ class PlaneFit(NamedTuple):
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return the positions of points relative to the mean of the points, in radii, and a mask of the known points.
+    """Return point positions relative to their mean, in units of the radius, and a mask of the known points.
 
     Points are (B, N, 2), the results (B, 2, N) and (B, 1, N) bool. Unknown positions are 0.
     """
@@ -153,7 +153,7 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """Return the second-order products aa, ab and bb (B, 3, N) of pairs of components (a, b), which are (B, 2, N)."""
+    """Return the second-order products aa, ab and bb (B, 3, N) of pairs (a, b) (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 

@@ -1,4 +1,4 @@
-"""Strain of triangles between tracked points, and strain energy of the triangles in contact."""
+"""Compute the strain of triangles between tracked points, and the strain energy of triangles in contact."""
 
 from typing import NamedTuple
 
@@ -156,6 +156,6 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
 
 
 def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return, for each corner, the sum (M, 3, 2) of the slopes of both corners beside it times error correlations."""
+    """Return for each corner the sum (M, 3, 2) of the other two corners' slopes, weighted by error correlations."""
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

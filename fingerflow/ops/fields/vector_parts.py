@@ -97,8 +97,7 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over a pixel at each
-    offset.
+    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over each pixel.
 
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.

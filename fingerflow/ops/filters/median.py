@@ -126,7 +126,7 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Run a median program: minima and maxima of flat planes, each of which holds one pixel of every tile of the frame.
+    """Run a median program (minima and maxima) on planes, each of which holds one pixel of every tile.
 
     Each step is one pass over contiguous memory.
     """

@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fingerflow.ops.filters.spline import spline_weights
+from fingerflow.ops.pieces import points_at_once
 
 _POINTS_AT_A_TIME = 128
 
@@ -84,8 +85,8 @@ def _sample_warped(
     The positions of the samples of a warped window have no common fraction.
     """
     flat = coefficients.reshape(-1)
-    # Few points at a time, so that their weights stay in the cache.
-    pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
+    at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few, so that their weights stay in the cache
+    pieces = zip(*(whole.split(at_once) for whole in (image_index, points, warp)), strict=True)
     sampled = [
         _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
         for indices, places, warps in pieces

@@ -232,7 +232,7 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the least value (B, ...) over the `count` channels of each image, stacked along the batch axis."""
+    """Return the minimum (B, ...) over the channels of an array (count B, ...) with `count` channels."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -319,7 +319,7 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Estimate the flow without an initial value, from halved images; the flow is 0 if there are no halved images."""
+    """Estimate the flow without an initial value, from halved images; 0 if there are none."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
@@ -354,8 +354,7 @@ def _refined(
 
 
 def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
-    """Compute the residual of a flow on cells: what is left of the image difference after displacement and
-    illumination.
+    """Compute the residual of a flow on cells: the image difference that displacement and illumination do not explain.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
@@ -377,7 +376,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> Left[Tensor]:
-    """Compute the residual of a flow, what is left of the image difference, for each channel separately.
+    """Compute the residual of a flow (see `_left`) for each channel separately.
 
     As for `_left`, but the products with the slopes are not divided by the gain.
     """

@@ -1,4 +1,4 @@
-"""Conversion of dense-flow fields between pixels and cells of 2 x 2 px, and computations on cells.
+"""Convert dense-flow fields between pixels and cells of 2 x 2 px, and compute on cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
@@ -49,10 +49,10 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Spread values from cells to cells of half the size (or pixels), by bilinear interpolation of known cells.
+    """Interpolate values of known cells bilinearly to cells of half the size, or to pixels.
 
-    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest have the weights 9/16, 3/16,
-    3/16 and 1/16. The result is 0 where none of them is known.
+    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16,
+    3/16, 3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -60,7 +60,7 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px: return (B, 2, h, w).
+    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px.
 
     The mask `inside` (B, 1, H, W) is 1 or 0. Non-finite values count as 0; a cell without a pixel inside is 0.
     """
@@ -157,7 +157,7 @@ def window_variance(weights: list[float]) -> float:
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Integrate fields (B, C, h, w) over a window: return means with the weights applied along x and along y.
+    """Return weighted means of fields (B, C, h, w) over a window, with the weights applied along x and along y.
 
     Values beyond the border count as 0.
     """

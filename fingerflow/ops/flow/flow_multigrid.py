@@ -84,7 +84,7 @@ def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
-    """Return edge weights between blocks of 2 x 2 cells: a fourth of the mean of the two edges across a common side."""
+    """Return edge weights between blocks of 2 x 2 cells: a fourth of the mean of the two edges that connect them."""
     right, down = (
         functional.pad(right[..., 1::2], (0, 0, 0, right.shape[-2] % 2)),
         functional.pad(down[..., 1::2, :], (0, down.shape[-1] % 2)),
@@ -99,7 +99,7 @@ def degrees(right: Tensor, down: Tensor) -> Tensor:
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """Improve a flow (B, 2, h, w) by multigrid cycles, each of which descends to the coarsest level and returns.
+    """Improve a flow (B, 2, h, w) by multigrid V-cycles.
 
     Args:
         levels: of the multigrid; the finest is that of the flow.

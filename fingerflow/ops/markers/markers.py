@@ -39,7 +39,7 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Radius of a marker, px: that of the disc to which a filter of the scale `scale` responds most strongly."""
+        """Return the radius of a marker, px: that of the disc to which the blob filter responds most strongly."""
         return math.sqrt(2) * self.scale
 
 
@@ -139,7 +139,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Locate markers at a coarser scale: return the positions (B, N, 2) px of highest response near pixels x, y (B, N).
+    """Return the positions (B, N, 2) px of highest blob response at a coarser scale, near pixels x, y (B, N).
 
     Positions within one scale are considered.
     """
@@ -172,7 +172,7 @@ def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
 
 
 def blur(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """Blur an image by a Gaussian of standard deviation `scale` px; beyond the border the nearest pixel counts.
+    """Blur an image by a Gaussian of standard deviation `scale` px; beyond the border the nearest pixel is repeated.
 
     The result is larger than the image by `margin` pixels on each side. Two matrix products are used: torch's
     convolution of one channel takes ten times as long at these sizes.

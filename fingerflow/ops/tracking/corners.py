@@ -176,7 +176,7 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return a corner response above all noise: one that no window of pure white noise of variance 1 reaches.
+    """Return a corner response that no window of pure white noise of variance 1 reaches.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
@@ -249,7 +249,7 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Mark the corner candidates to keep: each is kept unless it lies too near a stronger candidate that is kept.
+    """Mark the corner candidates that do not lie too close to a stronger candidate that is kept.
 
     Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
     is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first

@@ -80,7 +80,7 @@ def correct_points(
 
 
 def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Return position covariances (K, N, 2, 2) less the residual that deformation of the skin causes in the window.
+    """Return position covariances (K, N, 2, 2) without the residual that skin deformation causes in the window.
 
     The deformation E is (K, 4, N). `of` (K, 32, N) are the template statistics.
     """

@@ -130,10 +130,10 @@ def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
     The indices are (1 or B, k, N).
     """
     batch, _, points = values[0].shape
-    if index.shape[0] != 1:
-        return tuple(one[:, 0].gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
     rows, number = torch.cat(values, dim=1), index.flatten()
-    if torch.compiler.is_exporting() or not batch:  # this form of gather takes ONNX runtimes a quarter of the time
+    if index.shape[0] != 1:
+        there = rows.gather(2, index.flatten(1)[:, None].expand(-1, len(values), -1))
+    elif torch.compiler.is_exporting() or not batch:  # this form of gather takes ONNX runtimes a quarter of the time
         there = rows.gather(2, number.to(torch.int32).expand(batch, len(values), -1))
     elif looks(rows):  # selecting from one row at a time is twice as fast
         there = torch.stack([row.index_select(0, number) for row in rows.flatten(0, 1)])
@@ -184,6 +184,6 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far displacement differences u, v (B, k, N) lie above planes of given slopes (B, 1, N)."""
+    """Return the residuals of displacement differences u, v (B, k, N) from planes of given slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

@@ -134,7 +134,7 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Compute templates anew from the spline coefficients and the noise level of a key frame with integer grey levels.
+    """Update templates from the spline coefficients and noise level of a key frame with integer grey levels.
 
     This is the exported form of `prepare_templates`.
 
@@ -252,7 +252,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to an equal number L per frame.
+    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to L in every frame.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
@@ -270,7 +270,7 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), where `wanted` (B, N) is True."""
+    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), only where `wanted` (B, N)."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -327,7 +327,7 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Remove from slopes (P, 2, samples) the components that a change of gain and offset of the light would cause.
+    """Remove from slopes (P, 2, samples) the components that a change of gain or offset of the light would cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """

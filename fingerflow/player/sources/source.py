@@ -1,4 +1,4 @@
-"""Interface of frame sources, and the request from which a frame source is opened."""
+"""Define the interface of frame sources, and the request from which a source is opened."""
 
 from __future__ import annotations
 

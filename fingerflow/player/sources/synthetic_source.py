@@ -97,7 +97,7 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Draw a finger: return the brightness of the skin, about -1 to 1, and the share of light lost to contact.
+    """Return the brightness of a drawn finger, about -1 to 1, and the share of light lost to contact.
 
     Both are (H, W) float32.
     """

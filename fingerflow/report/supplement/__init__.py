@@ -1,4 +1,4 @@
-"""Figures of the supplement of Willemet et al. 2021 that simulation and tables can give, and movie of the model."""
+"""Figures of the supplement of Willemet et al. 2021, made from simulations and tables, and a movie of the model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

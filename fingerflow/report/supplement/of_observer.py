@@ -91,7 +91,7 @@ def individual_performance(sources: Sources) -> Sheet:
 
 
 def curl(sources: Sources) -> Sheet:
-    """Return figure S13: curl, in panels A and B of the simulated press, in C of the table of trials."""
+    """Return figure S13: curl of the simulated press (panels A and B) and of the trials in a table (C)."""
     panels = [
         SheetPanel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
         SheetPanel("B (simulated press)", lambda part: draw_median_curl(part.subplots(), sources.field)),

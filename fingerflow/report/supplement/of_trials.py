@@ -72,7 +72,7 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7: displacement and force angle; D and E use differences if the table has them."""
+    """Return figure S7: displacement and force angle; D and E use differences from the reference where known."""
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
@@ -85,7 +85,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
+    """Return figure S8: surface strain, in panels B, D, E and F from the skin chain, else from the table of trials."""
     chain = (
         SheetPanel("B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses), columns=3, rows=2),
         SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),

@@ -38,7 +38,7 @@ class Sheet:
 
     @staticmethod
     def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return a sentence for each missing input on the panels that need it, from pairs of panel letter and input."""
+        """Return, for each missing input, a sentence that names the panels that need it."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)

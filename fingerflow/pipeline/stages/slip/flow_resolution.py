@@ -20,7 +20,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures near a slip border when the true displacement is x^p at a distance of x mm.
+    """Response of dense flow to a slip border, beyond which the true displacement is x^p at a distance of x mm.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
@@ -64,7 +64,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of dense flow along an axis, on a frame displaced by a known amount.
+    """Return the mean error (K,) px of dense flow at K distances from a border, for a frame displaced by known amounts.
 
     `distances` (K,) px are beyond the border.
     """

@@ -141,7 +141,7 @@ class SlipStage(Stage):
                 self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return the function that gives the measured (seen), hence blurred, displacement near a slip border."""
+        """Return the function that predicts the blurred displacement measured near a slip border."""
         return partial(seen_displacement, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
@@ -149,7 +149,7 @@ class SlipStage(Stage):
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the displacement (N, 2) mm in one frame of the skin that lay at the points in the first frame."""
+        """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
         return motion
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
