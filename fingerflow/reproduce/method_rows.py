@@ -19,10 +19,11 @@ from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strai
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.report.half_sphere import DEPTH_MM, RADIUS_MM
 from fingerflow.report.simulated_presses import HIGH
-from fingerflow.reproduce.presses import PressStudy
+from fingerflow.reproduce.presses import DIVERGENCE_UNIT, PressStudy
 from fingerflow.reproduce.printed_row import Obtained, Row, exactly, number, rounded, unobtainable
 from fingerflow.reproduce.stages_of_a_press import contact_mask
 from fingerflow.reproduce.tribometer_trace import MODULATION_HZ
+from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
 Values = NDArray[np.float64]
@@ -136,10 +137,11 @@ def _displacement(study: PressStudy) -> Obtained:
 
 def _divergence(study: PressStudy) -> Obtained:
     _, spread = study.errors
-    rms, mean = float(np.sqrt(np.mean(spread**2))), float(spread.mean())
+    rms, mean = np.sqrt(np.mean(spread**2)), spread.mean()
+    shown = VARIABLES["median_divergence"].shown_values
     return Obtained(
-        f"local plane fits; median over the contact, mean error {1000 * mean:+.2f}, RMS error {1000 * rms:.2f} "
-        f"µm/mm in {len(spread)} trials"
+        f"local plane fits; median over the contact, mean error {shown(mean):+.2f}, RMS error {shown(rms):.2f} "
+        f"{DIVERGENCE_UNIT} in {len(spread)} trials"
     )
 
 

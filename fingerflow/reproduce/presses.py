@@ -22,6 +22,7 @@ from fingerflow.report.tribometer import TribometerTrace
 from fingerflow.reproduce.tribometer_trace import write_trace
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.variables import VARIABLES
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, TrialEntry, load_manifest
 from fingerflow.study.run_study import run_study
@@ -38,6 +39,7 @@ _SLOPE_S = 0.12  # over which rates of the chain are fitted
 _LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
 
+DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(participants=16, trials=2)
 _QUICK = Design(participants=4, trials=1)
 _RESAMPLES = {False: 2000, True: 400}
