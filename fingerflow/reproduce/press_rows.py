@@ -336,8 +336,8 @@ def _strain_against_divergence(study: PressStudy) -> Obtained:
     low, high = found.interval
     error = float(stats.linregress(divergence[known], strain[known]).stderr)
     return Obtained(
-        f"r = {found.value:.2f} ({low:.2f} to {high:.2f}); y = {slope:.3f} x {offset:+.3f} (% and {DIVERGENCE_UNIT}), R² = "
-        f"{found.value**2:.2f}, {found.trials} presses",
+        f"r = {found.value:.2f} ({low:.2f} to {high:.2f}); y = {slope:.3f} x {offset:+.3f} (% and "
+        f"{DIVERGENCE_UNIT}), R² = {found.value**2:.2f}, {found.trials} presses",
         (found.interval, likely(float(slope), error)),
         because="where skin spreads evenly from a centre, the strain along any axis is half of the divergence: 0.05 % "
         f"for 1 {DIVERGENCE_UNIT}",
@@ -371,8 +371,8 @@ def _energy_slope(study: PressStudy) -> Obtained:
             slopes.append(float(np.polyfit(divergence[known], energy[known], 1)[0]))
     mean, deviation = float(np.mean(slopes)), float(np.std(slopes, ddof=1))
     return Obtained(
-        f"{mean:.2g} ± {deviation:.2g} mJ per unit of divergence ({mean / 1000:.2g} mJ per {DIVERGENCE_UNIT}), {len(slopes)} "
-        "participants",
+        f"{mean:.2g} ± {deviation:.2g} mJ per unit of divergence ({mean / 1000:.2g} mJ per {DIVERGENCE_UNIT}), "
+        f"{len(slopes)} participants",
         (likely(mean, deviation / math.sqrt(len(slopes))),),
         because="no unit makes 3.6 comparable: it is not said what the divergence is in",
     )
@@ -491,7 +491,8 @@ ROWS: tuple[Row[PressStudy], ...] = (
     Row("B54", "strain rate on answers", "F(5,70) = 2.12, p = 0.023", "S8I", (), _rate_of_strain_on_answers),
     Row("B55", "strain, energy differences on answers", "not correlated", "S8H, S9E", (), _strain_on_answers),
     Row("B63", "normalisation, bins", "0.9 quantile; 0.05", "Observer", exactly(0.9, 0.05), _normalisation),
-    Row("B64", "divergence criterion", f"13.1 {DIVERGENCE_UNIT} gives 75 % hits", "Observer", rounded(13.1, digit=0.1), _criterion),
+    Row("B64", "divergence criterion", f"13.1 {DIVERGENCE_UNIT} gives 75 % hits", "Observer", rounded(13.1, digit=0.1),
+        _criterion),
     Row("B65", "ranking", "divergence first; then force angle, global displacement", "S11B, S11C", (), _ranking),
     Row("B66", "soft group advantage", "α ≤ 1 µm", "S12", (), _soft_advantage),
     Row("B67", "curl against divergence", "Pearson 0.7726, p < 0.0001", "S13C", rounded(0.7726, digit=0.0001), _curl),
