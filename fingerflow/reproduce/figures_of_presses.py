@@ -73,8 +73,8 @@ def _friction_and_area(study: PressStudy) -> Drawn:
     return _sheet(
         "S1",
         sorted(panels, key=lambda panel: panel.letter),
-        f"A, B: a simulated tribometer trace. C to F: the study, D and F at 3 N; {_count(study)}. Bars are mean ± SD "
-        "of trials, bands of curves 95 % over participants.",
+        f"Friction is that of a simulated tribometer trace; areas are those of the study, by amplitude at 3 N: "
+        f"{_count(study)}. Bars are mean ± SD of trials, bands of curves 95 % over participants.",
     )
 
 
@@ -120,12 +120,13 @@ def _strain(study: PressStudy) -> Drawn:
         _curve(study, "E", "strain"),
         SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
         SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
-        *[panel for panel in _of_table(study, "S8") if panel.letter[0] in "FGHI"],
+        SheetPanel.of_axes("F", draw_curves, study.rate_curves, "strain_rate"),
+        *[panel for panel in _of_table(study, "S8") if panel.letter[0] in "GHI"],
     ]
     return _sheet(
         "S8", panels,
-        f"A to D: two presses of one participant at {low.force_text} and {high.force_text}. E: strain along the major "
-        f"axis by amplitude; F: strain rates of the skin chain. G to I: the study, {_count(study)}.",
+        f"Pictures and maps are of two presses of one participant, at {low.force_text} (low friction) and "
+        f"{high.force_text} (high friction); the rest is of the study: {_count(study)}.",
     )  # fmt: skip
 
 
@@ -134,9 +135,14 @@ def _strain_energy(study: PressStudy) -> Drawn:
     panels = [
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         _curve(study, "B", "strain_energy"),
-        *[panel for panel in _of_table(study, "S9") if panel.letter[0] in "CDE"],
+        SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
+        *[panel for panel in _of_table(study, "S9") if panel.letter[0] in "DE"],
     ]
-    return _sheet("S9", panels, f"A, B, D, E: the study, {_count(study)}. C: the skin chain.")
+    return _sheet(
+        "S9",
+        panels,
+        f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.",
+    )
 
 
 def _depth(study: PressStudy) -> Drawn:
@@ -158,7 +164,7 @@ def _curl(study: PressStudy) -> Drawn:
         _curve(study, "B", "curl"),
         *[panel for panel in _of_table(study, "S13") if panel.letter == "C"],
     ]
-    return _sheet("S13", panels, f"A: one press at low friction. B, C: the study, {_count(study)}.")
+    return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
 
 def _no_photographs(_: PressStudy) -> Drawn:

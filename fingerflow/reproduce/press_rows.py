@@ -311,7 +311,7 @@ def _signed(values: list[float]) -> str:
 
 
 def _force_of_peak_rate(study: PressStudy) -> Obtained:
-    found = _peak_force(study.forces_of_peaks["strain"])
+    found = _peak_force(study.forces_of_peaks["strain_rate"])
     chain = study.chain_strain[HIGH][1][0]
     return replace(
         found,
@@ -353,7 +353,7 @@ def _peak_energy_rate(study: PressStudy) -> Obtained:
     frame = study.measured
     medians = frame.groupby("condition")["strain_energy_rate"].median().to_numpy(float)
     mean, deviation = float(medians.mean()), float(medians.std(ddof=1))
-    force = _peak_force(study.forces_of_peaks["strain_energy"])
+    force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
     chain = study.chain_strain[HIGH][1][1]
     return Obtained(
         f"{number(mean, deviation)} mJ/s at {force.text}; of the chain at {chain:.1f} N, the end of its press",

@@ -38,6 +38,7 @@ _TRUTHS = 16  # trials whose deformation is compared with the truth
 _SLOPE_S = 0.12  # over which rates of the chain are fitted
 _LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
+_BIN_N, _FEWEST_RATES = 0.5, 3  # forces of mean rates, and frames that one needs
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(participants=16, trials=2)
@@ -126,21 +127,43 @@ class PressStudy:
         return np.asarray(own.loc[places, column].to_numpy(float))
 
     @cached_property
-    def forces_of_peaks(self) -> dict[str, dict[float, float]]:
-        """Return for strain and strain energy the median normal force (N) at the largest rate, by amplitude."""
-        found: dict[str, dict[float, list[float]]] = {"strain": {}, "strain_energy": {}}
+    def rates(self) -> Any:
+        """Return a DataFrame of the rising force: metric, condition, press, normal_force_N and rate of each frame.
+
+        Metrics are `strain_rate`, the mean of both directions, and `strain_energy_rate`; of 200 presses at most.
+        """
+        import pandas as pd
+
+        parts = []
         for entry in self.some(_PEAKS):
             result = self.result_of(entry)
             if result is None:
                 continue
             force = np.asarray(result["normal_force"], dtype=float)
             strain = np.asarray(result["median_strain_rate"], dtype=float)[:, :2].mean(1)
-            for name, rate in (("strain", strain), ("strain_energy", np.asarray(result["strain_energy_rate"], float))):
-                known = np.isfinite(rate) & np.isfinite(force) & (np.arange(force.size) <= np.nanargmax(force))
-                if known.any():
-                    peak = float(force[known][rate[known].argmax()])
-                    found[name].setdefault(float(entry.condition), []).append(peak)
-        return {name: {where: float(np.median(some)) for where, some in own.items()} for name, own in found.items()}
+            energy = np.asarray(result["strain_energy_rate"], dtype=float)
+            rising = np.isfinite(force) & (np.arange(force.size) <= np.nanargmax(force))
+            for metric, rate in (("strain_rate", strain), ("strain_energy_rate", energy)):
+                known = rising & np.isfinite(rate)
+                columns = {"metric": metric, "condition": float(entry.condition), "press": entry.name}
+                parts.append(pd.DataFrame({"normal_force_N": force[known], "rate": rate[known], **columns}))
+        return pd.concat(parts, ignore_index=True)
+
+    @cached_property
+    def rate_curves(self) -> Any:
+        """Return the mean rates by condition at forces 0.5 N apart, as a table of curves, without intervals."""
+        rates = self.rates
+        grouped = rates.groupby(["metric", "condition", (rates["normal_force_N"] / _BIN_N).round() * _BIN_N])["rate"]
+        mean = grouped.mean()[grouped.count() >= _FEWEST_RATES].rename("mean").reset_index()
+        return mean.assign(low=mean["mean"], high=mean["mean"])
+
+    @cached_property
+    def forces_of_peaks(self) -> dict[str, dict[float, float]]:
+        """Return for each metric of `rates` the median normal force (N) at the largest rate, by amplitude."""
+        own = self.rates
+        peaks = own.loc[own.groupby(["metric", "press"])["rate"].idxmax()]
+        median = peaks.groupby(["metric", "condition"])["normal_force_N"].median()
+        return {metric: median[metric].to_dict() for metric in ("strain_rate", "strain_energy_rate")}
 
     @cached_property
     def chain_area_at_3n(self) -> dict[str, float]:
