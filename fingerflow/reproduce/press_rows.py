@@ -151,7 +151,7 @@ def _trends(study: PressStudy) -> Obtained:
         f"apparent area at 3 N by amplitude: {_p(test.p)}; real area up to 3 N: R² of a line {min(shares):.2f} to "
         f"{max(shares):.2f}",
         agrees=test.p > _ALPHA and min(shares) > 0.9,
-        because="the apparent area of the chain falls a little as friction rises (68 to 71 mm² at 3 N)",
+        because=test.reason or "the apparent area of the chain falls a little as friction rises",
     )
 
 
@@ -356,7 +356,7 @@ def _peak_energy_rate(study: PressStudy) -> Obtained:
     force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
     chain = study.chain_strain[HIGH][1][1]
     return Obtained(
-        f"{number(mean, deviation)} mJ/s at {force.text}; of the chain at {chain:.1f} N, the end of its press",
+        f"{number(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
         (likely(mean, deviation), *force.numbers),
         because="the chain is elastic: its energy rises faster the larger the force, up to the peak",
     )

@@ -34,7 +34,7 @@ from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
-_TRUTHS = 16  # trials whose deformation is compared with the truth
+_TRUTHS = 8  # trials whose deformation is compared with the truth
 _SLOPE_S = 0.12  # over which rates of the chain are fitted
 _LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
@@ -176,7 +176,7 @@ class PressStudy:
     @cached_property
     def errors(self) -> tuple[Values, Values]:
         """Return errors (T, 2) of the median displacement (mm) and (T,) of the median divergence at the largest force,
-        of 16 trials at most.
+        of 8 trials at most.
         """
         moved, spread = [], []
         for entry in self.some(_TRUTHS):
