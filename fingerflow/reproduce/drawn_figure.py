@@ -97,6 +97,10 @@ def _save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG with 256 colours, a third of the size of the full one."""
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=_DPI)
-    picture = Image.open(held).convert("RGB").quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    picture = (
+        Image.open(held)
+        .convert("RGB")
+        .quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    )
     write_atomically(path, lambda part: picture.save(part, format="png", optimize=True))
     return path

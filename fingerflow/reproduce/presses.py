@@ -262,8 +262,8 @@ def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True)
     known = recordings / "truth.json"
     if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(design))):
         raise FingerflowError(f"{known} is of another design: name another folder, or remove {folder}")
-    write_recordings(recordings, design)
-    if not (recordings / "study.toml").exists():
+    if not (recordings / "study.toml").exists():  # written once all recordings are
+        write_recordings(recordings, design)
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)
     run_study(manifest, progress=progress)
