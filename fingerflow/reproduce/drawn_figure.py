@@ -67,10 +67,13 @@ class PrintedMovie(Generic[Source]):
     repeated: int
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Write the movie as MP4 and some of its frames as PNG; raise FingerflowError if one cannot be written."""
+        """Write the movie as MP4 into the folder `movies` beside, and some of its frames as PNG.
+
+        Raises FingerflowError if one cannot be written.
+        """
         frames, shown = self.draw(source)
         pictures = list(frames)
-        movie = folder / f"{self.name}.mp4"
+        movie = folder.parent / "movies" / f"{self.name}.mp4"
         write_atomically(movie, lambda part: encode_video(self._held(pictures), part))
         path = _save(_strip(pictures), folder / f"{self.name}.png")
         return DrawnFigure(self.name, self.printed, path.name, shown, movie.name)

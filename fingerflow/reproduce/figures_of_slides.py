@@ -128,11 +128,11 @@ def _set(own: list[JudgedSlide], about: str) -> Drawn:
     found = compare_curves(*(np.concatenate(parts) for parts in zip(*loading, strict=True)))
     _draw_models(axes, found)
     axes.set(xlabel="T/N over its value at the loss of adhesion", ylabel=AREA, xlim=(0, 1.12), ylim=(-0.03, 1.05))
-    counts = ", ".join(f"{name} of {best.count(name)}" for name in dict.fromkeys(best))
+    counts = ", ".join(f"{name} for {best.count(name)}" for name in dict.fromkeys(best))
     finished(axes)
     return figure, (
         f"d² against T/N of {len(judged)} slides, and four models fitted to all of them before the loss. {about} "
-        f"By AICc the best of the four models is {counts}."
+        f"Fitted to each slide, the best by AICc is {counts}."
     )
 
 
