@@ -36,10 +36,11 @@ class Design:
         trials: pairs of presses of each participant in each condition.
         amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
         friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
-            angles, and divergence of the chain rises from 0 to 20 µm/mm over this range at the mean force). Its
+            angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
-        softness: of firmer and softer skin, divisors of the chain's printed stiffnesses, so that apparent areas at the
-            peak are 70.1 ± 4.5 mm² over participants (B5), in two groups (B66).
+        softness: of firmer and softer skin, divisors of the chain's printed stiffnesses. The mean apparent area at the
+            peak is 70.1 mm² (B5); the ratio is that at which two groups are found and the softer one is better at small
+            amplitudes (B66), which takes twice the printed spread of areas.
         force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
             over the mean time is 3.7). Gamma distributed, as a normal one would be negative in every ninth trial.
         force_range: N, outside of which a trial is drawn again (B34).
@@ -50,8 +51,8 @@ class Design:
             between them. Gamma distributed, standard deviation half of the mean as printed.
         displacement: mean and standard deviation of the global displacement, mm (B40), lognormal up to 0.5 mm, drawn
             apart from the angle.
-        real_area: mean over presses of the real contact area at the peak, mm², and its standard deviation over
-            participants (B6).
+        real_area: mean over presses of the real contact area at the peak, mm² (B6), and its standard deviation over
+            participants of one apparent area: with the spread of that area 4.5 mm², as printed.
         real_area_fall: share by which vibration at the largest amplitude reduces it (B8), linear in the amplitude.
         real_area_noise: relative standard deviation from press to press (not printed: with it Spearman's rho of slope
             and amplitude is -0.28, B7).
@@ -67,7 +68,7 @@ class Design:
     trials: int = 14
     amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
     friction: tuple[float, float] = (0.5, 0.16)
-    softness: tuple[float, float] = (3.15, 3.8)
+    softness: tuple[float, float] = (2.8, 4.3)
     force_rate: tuple[float, float] = (3.6, 3.0)
     force_range: tuple[float, float] = (1.0, 18.0)
     time_to_peak: tuple[float, float] = (1.47, 0.39)
@@ -75,11 +76,11 @@ class Design:
     hold: tuple[float, float] = (0.15, 0.5)
     angle: tuple[float, float] = (9.9, 4.2)
     displacement: tuple[float, float] = (0.08, 0.10)
-    real_area: tuple[float, float] = (23.7, 4.5)
+    real_area: tuple[float, float] = (23.7, 2.8)
     real_area_fall: float = 0.38
     real_area_noise: float = 0.4
     feels: Felt = "divergence"
-    noise: tuple[float, float] = (0.002, 3.0)
+    noise: tuple[float, float] = (0.003, 3.0)
     frame_rate: float = 20.0
     mm_per_px: float = 0.0325
     view_px: int = 512
@@ -253,9 +254,7 @@ def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPr
     )
 
 
-def _at_peak(
-    design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values
-) -> tuple[Values, Values]:
+def _at_peak(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
     """Return divergence and apparent contact area (mm²) at the peak force of presses, from tables over the force."""
     divergence, area = np.empty(force.size), np.empty(force.size)
     for friction in np.unique(design.friction_at(amplitude)):

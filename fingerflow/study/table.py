@@ -123,8 +123,8 @@ def differences(frame: Any) -> dict[str, Any]:
     """
     if REFERENCE not in frame or not frame[REFERENCE].any():
         return {}
-    own = frame.set_index(["participant", "trial"])
-    # No trial has an empty number, so trials without a reference find none.
+    # A reference is the only trial of its number; no trial has an empty one, so trials without a reference find none.
+    own = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
     places = list(zip(frame["participant"], frame[REFERENCE], strict=True))
     numbers = [name.removesuffix(DIFFERENCE) for name in DIFFERENCES]
     return {f"{name}{DIFFERENCE}": frame[name] - own[name].reindex(places).to_numpy() for name in numbers}

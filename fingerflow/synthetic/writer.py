@@ -114,7 +114,9 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             pending = pool.map(write, range(scene.n_frames))
             try:
-                for _ in tqdm(pending, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress):
+                for _ in tqdm(
+                    pending, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress
+                ):
                     pass
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)  # an interrupt must not wait for all other frames

@@ -68,13 +68,15 @@ def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
 
 def test_contact_areas_are_those_printed(presses: Presses) -> None:
     """B5 to B9: apparent and real area over participants, and what vibration does to both."""
-    for area, mean in ((presses.gross_contact_area, 70.1), (presses.real_contact_area, 23.7)):
+    # Two groups that differ in what they feel take twice the printed spread of apparent areas.
+    areas = (presses.gross_contact_area, 70.1, 10.2), (presses.real_contact_area, 23.7, 4.5)
+    for area, mean, deviation in areas:
         own = _by_participant(presses, area)
-        assert own.mean() == pytest.approx(mean, rel=0.04)
-        assert own.std() == pytest.approx(4.5, abs=0.8)
+        assert own.mean() == pytest.approx(mean, rel=0.02)
+        assert own.std() == pytest.approx(deviation, rel=0.1)
     still, most = presses.amplitude == 0, presses.amplitude == 3
     share = presses.real_contact_area / presses.gross_contact_area
-    assert 1 - share[most].mean() / share[still].mean() == pytest.approx(0.38, abs=0.04)
+    assert 1 - np.median(share[most]) / np.median(share[still]) == pytest.approx(0.38, abs=0.02)
     assert abs(presses.gross_contact_area[most].mean() / presses.gross_contact_area[still].mean() - 1) < 0.04
     _, comparison = presses.pairs()
     median = _by_participant(presses, presses.real_contact_area, np.median)[comparison.participant]
@@ -83,24 +85,32 @@ def test_contact_areas_are_those_printed(presses: Presses) -> None:
 
 
 def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> None:
-    """B66: the soft group's advantage lies at amplitudes up to 1 µm; a quarter to three quarters of all pairs differ
-    there by chance. Equal glass is answered by chance, and more vibration is felt better."""
+    """B66: the soft group is better at amplitudes up to 1 µm, by 0.06 with a standard error of 0.008, and most studies
+    of 16 participants show two groups. Equal glass is answered by chance, and more vibration is felt better."""
     reference, comparison = presses.pairs()
     answers = answers_of(DESIGN, reference, comparison)
-    shares = {
-        soft: np.array([answers[(comparison.amplitude == a) & (comparison.soft == soft)].mean() for a in DESIGN.amplitudes])
-        for soft in (False, True)
-    }
-    both = (shares[False] + shares[True]) / 2
+    firm, soft = (
+        np.array(
+            [answers[(comparison.amplitude == one) & (comparison.soft == group)].mean() for one in DESIGN.amplitudes]
+        )
+        for group in (False, True)
+    )
+    both = (firm + soft) / 2
     assert both[0] == pytest.approx(0.5, abs=0.04)
     assert both[-1] > 0.9
     assert (np.diff(both) > -0.02).all()
-    advantage = shares[True] - shares[False]
+    advantage = soft - firm
+    assert abs(advantage[0]) < 0.03
     assert advantage[1:3].mean() > 0.03
-    assert advantage[1:3].mean() > advantage[4:].mean()
-    medians = 1e3 * _by_participant(presses, presses.divergence, np.mean)
-    groups = participant_groups(medians[::10])
-    assert groups.groups == 2
+    more = comparison.divergence - reference.divergence
+    found = [
+        participant_groups(
+            1e3 * np.array([np.median(more[comparison.participant == one]) for one in range(first, 400, 25)]),
+            resamples=200,
+        ).groups
+        for first in range(5)
+    ]
+    assert found.count(2) >= 3
 
 
 def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
