@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import INTERRUPTED, app
+from fingerflow.cli.app import INTERRUPTED, Format, Width, app, figure_files
 from fingerflow.errors import FingerflowError
 
 study = typer.Typer(
@@ -81,14 +81,21 @@ def run(
 
 
 @study.command()
-def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
+def report(
+    manifest: Manifest,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    formats: Format = None,
+    width: Width = None,
+) -> None:
     """Write the page of a study (trials, figures and statistics) from the results of `run`."""
     from fingerflow.study.cluster import Interrupted
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
 
+    files = figure_files(formats, width)
     try:
-        page = write_study_report(load_manifest(manifest), scheduler, workers)
+        page = write_study_report(load_manifest(manifest), scheduler, workers, figure_files=files)
     except Interrupted as stop:
         typer.echo(f"no page: {stop}", err=True)
         raise typer.Exit(INTERRUPTED) from None

@@ -1,7 +1,8 @@
 """Index page of a study: all trials with thumbnails and reports, figures and statistics."""
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
+from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.plot.rounding import with_interval, with_uncertainty
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
@@ -43,7 +46,11 @@ class Outlier:
 
 
 def write_study_report(
-    manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
+    manifest: Manifest,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+    figure_files: FigureFiles = PNG,
 ) -> Path:
     """Write `index.html`, `statistics.json` and `figures` of a study into its results folder, and the report of each
     trial.
@@ -67,7 +74,7 @@ def write_study_report(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
     failed = [said for said in written if said]
-    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design)
+    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design, figure_files)
     statistics = statistics_of(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
     write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))
@@ -83,10 +90,18 @@ def write_study_report(
         statistics=statistics,
         metrics=NUMBERS,
         pages_failed=failed,
+        with_interval=_with_interval,
+        with_uncertainty=with_uncertainty,
     )
     path = manifest.results / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
+
+
+def _with_interval(value: float, interval: Sequence[float | None]) -> str:
+    """Return an estimate and its interval as text; None, as in JSON, is not known."""
+    low, high = (math.nan if limit is None else limit for limit in interval)
+    return with_interval(value, low, high)
 
 
 def write_page(manifest: Manifest) -> str:

@@ -208,7 +208,7 @@ def test_a_page_of_nothing_is_refused_in_a_sentence(study: Manifest) -> None:
 
 
 def test_an_interrupted_page_is_told_in_a_sentence(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: Any) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
         raise Interrupted("interrupted. What is finished is kept")
 
     monkeypatch.setattr("fingerflow.study.report.write_study_report", interrupted)

@@ -1,6 +1,5 @@
 """Strain energy of the whole contact: the simulated press's formulas, exact and with the errors that are stated."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,21 +8,14 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from bench.suites.stated import other_presses
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergy, Solid, perimeter
 from fingerflow.synthetic import Press
-from fingerflow.synthetic.motion import Bump
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
 PRESS = Press(n_frames=60, frame_rate=60.0)
-TWICE = replace(
-    PRESS,
-    gradient=tuple(tuple(2 * one for one in row) for row in PRESS.gradient),
-    shift=tuple(2 * one for one in PRESS.shift),
-    bumps=tuple(
-        Bump(one.centre, one.width, (2 * one.shift[0], 2 * one.shift[1]), 2 * one.dilation) for one in PRESS.bumps
-    ),
-)
+TWICE = other_presses()["twice the deformation"]
 WINDOW_MM, SPACING_MM, DRAWS = 0.8, 0.33, 100
 Array = NDArray[np.float64]
 
@@ -78,7 +70,9 @@ def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -
 
     No point lies within 0.1 mm of the border; the skin there has 25 to 50 % of the energy."""
     contact = contact_of(press, frame, measure)
-    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(contact.energy, rel=5e-3)
+    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(
+        contact.energy, rel=5e-3
+    )
 
 
 @pytest.mark.parametrize("frame", [20, 30, 50])

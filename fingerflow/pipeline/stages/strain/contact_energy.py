@@ -131,7 +131,8 @@ class ContactEnergy:
         strain = green_lagrange(torch.from_numpy(np.linalg.inv(now) - np.eye(2)), self._solid.measure)
         weights = area * basis.weights
         energy = float(weights @ (strain_energy_density(strain, *solid).numpy() * np.linalg.det(now)))
-        xx, yy, xy = (weights * one.numpy() for one in stress_parts(*strain.unbind(-1), *solid))
+        exx, eyy, exy = strain.unbind(-1)
+        xx, yy, xy = (weights * one.numpy() for one in stress_parts(exx, eyy, exy, *solid))
         by_x, by_y = slope[..., 0].T, slope[..., 1].T
         forces = np.stack((by_x @ xx + by_y @ xy, by_x @ xy + by_y @ yy), axis=1)
         direct, _, shear = stiffness(*solid)

@@ -15,7 +15,7 @@ from fingerflow.pipeline.stages.displacement.displacement_stage import Displacem
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.border_energy import border_density
+from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
@@ -120,19 +120,18 @@ class StrainStage(Stage):
         """Store the energies of a batch of frames, of the triangles and of the whole contact."""
         frames, border = batch.indices, self._border.at(batch.indices)
         position = self.results["position"][frames]
-        missing = self._missing.see(density, touching)
-        places = self._sum_of_corners(position) / 3
         beside = border_density(
-            *(np.where(touching, density, np.nan), self._areas, places, border),
+            *(np.where(touching, density, np.nan), self._areas, self._sum_of_corners(position) / 3, border),
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
-        deviation = np.hypot(between_std.cpu().numpy(), missing)
-        deviation = np.hypot(deviation, np.nan_to_num(BORDER_MM * perimeter(border.semi_axes)) * beside)
+        strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
+        squares = (between_std.cpu().numpy(), self._missing.see(density, touching), strip)
+        deviation = np.sqrt(sum(np.square(one) for one in squares))
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
-        moved: Moved = batch.of(DisplacementStage)
-        for frame, whole in zip(frames, self._whole.of_frames(*self._onset_field(moved, frames), border), strict=True):
+        field = self._onset_field(batch.of(DisplacementStage), frames)
+        for frame, whole in zip(frames, self._whole.of_frames(*field, border), strict=True):
             if np.isfinite(whole.energy):
                 self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
 
@@ -155,7 +154,8 @@ class StrainStage(Stage):
         (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
         areas = abs(ax * by - ay * bx).T / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
-        return np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
+        result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
+        return result
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
