@@ -165,7 +165,7 @@ def reproduction_page() -> str:
             if figure["file"]:
                 alt = f"figure {figure['name']} as obtained"
                 lines += [f"```{{image}} ../reproduced/{paper['paper']}/{figure['file']}", f":alt: {alt}", "```", ""]
-            lines += [_cell(figure["shown"]), ""]
+            lines += [line for said in figure["shown"].splitlines() for line in (_cell(said), "")]
     return "\n".join(lines)
 
 

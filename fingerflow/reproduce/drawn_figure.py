@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from fingerflow.plot.figure_files import settle
 from fingerflow.report.video_writer import encode_video
 from fingerflow.results.atomic_write import write_atomically
 
@@ -19,7 +20,7 @@ Source = TypeVar("Source")
 Picture = NDArray[np.uint8]
 Drawn = tuple[Figure | None, str]
 
-_DPI, _COLOURS = 110, 256
+_DPI, _COLOURS = 150, 256
 _STILLS = 3  # frames of a movie on the page
 _WIDE = 9.0  # inches of such a strip
 
@@ -39,7 +40,7 @@ class DrawnFigure:
 class PrintedFigure(Generic[Source]):
     """A printed figure: its name ("2b", "S11"), what it shows in print, and how it is drawn.
 
-    `draw` returns the figure and what it shows here; None in place of a figure where nothing can be drawn.
+    `draw` returns the figure and what it shows here, a line a panel; None in place of a figure where nothing is drawn.
     """
 
     name: str
@@ -98,6 +99,7 @@ def _strip(pictures: list[Picture]) -> Figure:
 
 def _save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG with 256 colours, a third of the size of the full one."""
+    settle(figure)
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=_DPI)
     picture = (

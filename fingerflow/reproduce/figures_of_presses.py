@@ -10,6 +10,7 @@ from matplotlib.tri import Triangulation
 
 from fingerflow import plot
 from fingerflow.plot.axes_style import INK, finished
+from fingerflow.plot.captions import caption_of
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.recordings import open_recording
 from fingerflow.report.decomposition import decompose, draw_decomposition
@@ -38,7 +39,9 @@ _ARROWS = 10.0  # magnification of displacements in movie M1
 
 
 def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
-    return Sheet(name, tuple(panels)).figure(), shown
+    figure = Sheet(name, tuple(panels)).figure()
+    _, *captions = caption_of(figure).splitlines()  # without the heading
+    return figure, "\n".join((shown, *captions))
 
 
 def _of_table(study: PressStudy, name: str, sources: Sources | None = None) -> list[SheetPanel]:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.signal import savgol_filter
 
 from fingerflow.errors import FingerflowError
@@ -38,7 +39,7 @@ _TRUTHS = 8  # trials whose deformation is compared with the truth
 _SLOPE_S = 0.12  # over which rates of the chain are fitted
 _LEAST_N = 3.0  # of presses that figures show
 _PEAKS = 200  # trials whose rates are followed in time
-_BIN_N, _FEWEST_RATES = 0.5, 3  # forces of mean rates, and frames that one needs
+_BIN_N, _FEWEST_PRESSES = 0.5, 3  # forces of mean rates, and presses that one needs
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(participants=16, trials=2)
@@ -128,7 +129,7 @@ class PressStudy:
 
     @cached_property
     def rates(self) -> Any:
-        """Return a DataFrame of the rising force: metric, condition, press, normal_force_N and rate of each frame.
+        """Return a DataFrame of the rising force: metric, condition, press, participant, normal_force_N and rate.
 
         Metrics are `strain_rate`, the mean of both directions, and `strain_energy_rate`; of 200 presses at most.
         """
@@ -146,16 +147,28 @@ class PressStudy:
             for metric, rate in (("strain_rate", strain), ("strain_energy_rate", energy)):
                 known = rising & np.isfinite(rate)
                 columns = {"metric": metric, "condition": float(entry.condition), "press": entry.name}
+                columns["participant"] = entry.participant
                 parts.append(pd.DataFrame({"normal_force_N": force[known], "rate": rate[known], **columns}))
         return pd.concat(parts, ignore_index=True)
 
     @cached_property
     def rate_curves(self) -> Any:
-        """Return the mean rates by condition at forces 0.5 N apart, as a table of curves, without intervals."""
+        """Return the mean rates by condition at forces 0.5 N apart, as a table of curves.
+
+        Participants are the units of the intervals of 95 %, as in `curves`.
+        """
         rates = self.rates
-        grouped = rates.groupby(["metric", "condition", (rates["normal_force_N"] / _BIN_N).round() * _BIN_N])["rate"]
-        mean = grouped.mean()[grouped.count() >= _FEWEST_RATES].rename("mean").reset_index()
-        return mean.assign(low=mean["mean"], high=mean["mean"])
+        bins = (rates["normal_force_N"] / _BIN_N).round() * _BIN_N
+        own = rates.groupby(["metric", "condition", bins, "participant"]).agg(
+            rate=("rate", "mean"), trials=("press", "nunique")
+        )
+        of_bins = own.groupby(["metric", "condition", "normal_force_N"])
+        found = of_bins.agg(
+            mean=("rate", "mean"), spread=("rate", "std"), participants=("rate", "size"), trials=("trials", "sum")
+        )
+        found = found[found["trials"] >= _FEWEST_PRESSES].reset_index()
+        reach = stats.t.ppf(0.975, found["participants"] - 1) * found["spread"] / np.sqrt(found["participants"])
+        return found.assign(low=found["mean"] - reach, high=found["mean"] + reach)
 
     @cached_property
     def forces_of_peaks(self) -> dict[str, dict[float, float]]:
