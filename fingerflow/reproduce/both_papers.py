@@ -21,8 +21,8 @@ _ABOUT_SLIDES = (
 
 
 _ABOUT_PRESSES = (
-    "A study of {participants} participants in {trials} trials at each of {amplitudes} amplitudes, a pair of presses "
-    "each: a skin chain turned about its axis, softer for half of the participants, with frictions of {high:g} without "
+    "A study of {participants} participants, {trials} pair(s) of presses each at every one of {amplitudes} amplitudes: "
+    "a skin chain turned about its axis, softer for half of the participants, with frictions of {high:g} without "
     "and {low:g} at the largest vibration. The observer feels the difference of divergence, with noise. Equations, "
     "settings and models are checked beside it."
 )

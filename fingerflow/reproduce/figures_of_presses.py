@@ -183,7 +183,7 @@ def _triangulated(part: SubFigure, press: TypicalPress) -> None:
     corners = press.result["triangles"].values
     whole = np.isfinite(places[corners]).all((1, 2))
     x, y = np.nan_to_num(places).T
-    right.triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.4)
+    right.triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.15)
 
 
 def _strain_maps(part: SubFigure, press: TypicalPress, limit: float) -> None:

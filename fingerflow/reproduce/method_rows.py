@@ -244,7 +244,7 @@ def _speed(_: PressStudy) -> Obtained:
     return Obtained(
         f"C_max = 1 allows {fastest:.0f} m/s with elements {1e6 * _spacing():.0f} µm apart and steps of 2.5 µs",
         exactly(2.5, fastest),
-        because="440 m/s would need elements 1.1 mm apart; the chain has 501 on a half circle of 10 mm",
+        because=f"440 m/s would need elements {440 * 1e3 * _STEP_S:.1f} mm apart",
     )
 
 

@@ -151,7 +151,9 @@ def _trends(study: PressStudy) -> Obtained:
         f"apparent area at 3 N by amplitude: {_p(test.p)}; real area up to 3 N: R² of a line {min(shares):.2f} to "
         f"{max(shares):.2f}",
         agrees=test.p > _ALPHA and min(shares) > 0.9,
-        because=test.reason or "the apparent area of the chain falls a little as friction rises",
+        because=f"no test: {test.reason}"
+        if test.reason
+        else "the apparent area of the chain falls a little as friction rises",
     )
 
 
@@ -346,6 +348,7 @@ def _strain_against_divergence(study: PressStudy) -> Obtained:
 
 def _energy(study: PressStudy) -> Obtained:
     text, numbers = _distribution(study, "strain_energy", "mJ")
+    text = f"{text}, median {float(np.nanmedian(study.values('strain_energy'))):.2g} mJ"
     return Obtained(text, numbers[:1], because="the chain's skin stores less than print at these frictions")
 
 
