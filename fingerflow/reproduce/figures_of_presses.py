@@ -258,7 +258,7 @@ def _movie_protocol(study: PressStudy) -> Drawn:
         force.plot(time - time[0] + start, one.result["normal_force"], label=name)
         start += float(time[-1] - time[0]) + 1.0
     force.set(xlabel="time (s)", ylabel="normal force (N)")
-    force.text(start, 0, " which was more slippery?", va="bottom", ha="right")
+    force.text(0.98, 0.06, "which was more slippery?", transform=force.transAxes, ha="right")
     finished(force)
     for axes, name in zip(views, ("contact", "topography"), strict=True):
         show(axes, view_of(low.scene, name, low.peak)).set_title(f"{name} view", fontsize="medium")
