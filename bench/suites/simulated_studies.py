@@ -7,6 +7,7 @@ The answers follow from the truth, the metrics from the pictures by `process` an
 
 - d_prime, auc, criterion: of the felt metric, with their intervals of 95 % by participant; `true` is that of 56,000
   trials of the same design, by their truth, without pictures;
+- correct, measured: right answers, and presses whose felt metric was measured (a trial that fails has none);
 - holds: whether the three intervals contain the truth;
 - best, best_by_auc: which of the paper's seven metrics (figure S11) tells answers best, by |d'| and by |area - 1/2|.
   Strain energy and strain rate rise with the divergence: by ranks, which the area goes by, they can come as near to
@@ -32,6 +33,7 @@ from tqdm import tqdm
 from bench.environment import one_thread
 from bench.rows import Cell, Row
 from fingerflow import load_scene, process
+from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, leave_out_moved, observe
 from fingerflow.report.supplement.of_observer import OBSERVED
 from fingerflow.schema.trial_columns import NUMBERS
@@ -145,7 +147,10 @@ def _cell(value: float) -> float | None:
 def _metrics(design: Design, presses: Presses, number: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         write_recording(Path(folder) / "press", recording_of(design, presses, number), progress=False)
-        row, _ = measure(process(load_scene(Path(folder) / "press" / "scene.toml"), device="cpu"))
+        try:
+            row, _ = measure(process(load_scene(Path(folder) / "press" / "scene.toml"), device="cpu"))
+        except FingerflowError:  # a failed trial of a study: ridges too thin to be told from the noise
+            row = dict.fromkeys(OBSERVED)
     return {name: math.nan if row[name] is None else float(row[name]) for name in OBSERVED}
 
 
