@@ -147,8 +147,8 @@ def reproduction_page() -> str:
         "    cp -r folder/page/{slip,press}* docs/reproduced",
         "",
         "A number agrees where its interval of 95 % meets the printed interval: a printed deviation, otherwise the "
-        "rounding of the print. Truth is that of the simulation. With `--quick` the study of presses has 4 participants, "
-        "else 16. The command also writes the movies.",
+        "rounding of the print. Truth is that of the simulation. With `--quick` the study of presses has 4 "
+        "participants, else 16. The command also writes the movies.",
         "",
     ]
     for paper in read_results(REPRODUCED):
