@@ -79,9 +79,7 @@ def _shared(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return root
 
 
-def tracked(
-    motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES, kept: int = 0
-) -> RunContext:
+def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES, kept: int = 0) -> RunContext:
     """Key frame 0: its template's noise is in every later position; a position's covariance is that of both images.
 
     From the frame `known` on every point but the first `kept` is lost."""
