@@ -14,7 +14,7 @@ def describe(artist: Artist, caption: str) -> None:
 
 
 def caption_of(figure: Figure | SubFigure) -> str:
-    """Return the caption of a figure, else those of its axes one after the other; empty if it has none."""
+    """Return the caption of a figure, else the joined captions of its axes; empty if there are none."""
     if figure in _CAPTIONS:
         return _CAPTIONS[figure]
     return " ".join(_CAPTIONS[axes] for axes in figure.axes if axes in _CAPTIONS)

@@ -19,8 +19,8 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis, and
-    the variable that it shows.
+    """Curve of a figure: legend name, values (F,) and standard deviations (F,) or None in the unit of the axis, and
+    variable.
     """
 
     name: str
@@ -113,7 +113,7 @@ def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of a soft sensor's markers in contact that have slipped, with gross slip marked.
+    """Draw the share of a soft sensor's markers in contact that have slipped, and mark gross slip.
 
     By default against time; arguments as for `contact_area`.
     """
@@ -167,7 +167,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Check that a result has all of the given variables; raise FingerflowError otherwise."""
+    """Raise FingerflowError if a result lacks any of the given variables."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -175,7 +175,7 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
-    """Return a variable of a result, or one component, as a curve in the unit in which it is shown."""
+    """Return one variable of a result, or one component of it, as a curve in its display unit."""
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -191,7 +191,7 @@ def _from_zero(axes: Axes) -> Axes:
 
 
 def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw a figure that contains the curve of one variable alone."""
+    """Draw a figure with the curve of a single variable."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 
@@ -199,7 +199,7 @@ def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str
 def _draw(
     result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
 ) -> Axes:
-    """Draw several curves into one axes, with bands of BAND standard deviations."""
+    """Draw several curves into one axes, with bands of ± BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
@@ -238,7 +238,7 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
 
 
 def _whole(x: Values) -> tuple[float, float]:
-    """Return limits of the time or force axis that include every frame, even frames without a value."""
+    """Return axis limits that include all frames, even those in which the curves have no value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

@@ -13,7 +13,7 @@ _LARGE_SHARE = 0.02  # share of the triangles that may exceed it
 
 
 def cautions(result: xr.Dataset) -> list[str]:
-    """Return cautions on a result: warnings of the run, omitted frames, lost points, implausible strain."""
+    """Return cautions about a result: warnings of the run, omitted frames, lost points and implausible strain."""
     warnings = json.loads(result.attrs.get("warnings", "[]"))
     return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
 
@@ -63,7 +63,7 @@ def _of_points(result: xr.Dataset) -> list[str]:
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
-    """Return a caution if too many strains exceed what skin can bear.
+    """Return a caution if more strains than expected exceed the largest plausible strain of skin.
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """

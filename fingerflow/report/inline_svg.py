@@ -54,7 +54,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
 
 
 def _smaller(found: re.Match[str]) -> str:
-    """Return a large opaque image as JPEG, about a fifth of the original size, and any other image unchanged."""
+    """Return the data URI of an image as JPEG if the image is large and opaque, else unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -64,7 +64,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the values of named curves, which the page shows at the cursor, and the position of the axes.
+    """Return the values of the named curves of axes, which the page displays at the cursor, or None if there are none.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.
@@ -94,5 +94,5 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
 
 
 def _short(value: float) -> float | None:
-    """Return a number rounded to five digits for JSON; None (null) if it is not finite."""
+    """Return a number rounded to five significant digits for JSON, or None (null) if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

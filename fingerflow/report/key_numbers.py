@@ -67,7 +67,8 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the standard deviation (F,) of a series from a parabola fitted to the 11 frames around each frame.
+    """Return the local standard deviation (F,) of a series: of the residuals from a parabola fitted to 11 frames around
+    each frame.
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """

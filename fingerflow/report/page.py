@@ -38,7 +38,9 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure of the report page: unique name, SVG text, caption, and values of its curves or None."""
+    """Figure for the report page: unique name, SVG text, caption, and curve values to display at the cursor (or
+    None).
+    """
 
     name: str
     svg: str
@@ -57,7 +59,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: title, and panels of which one is shown at a time, beginning with panel ``first``."""
+    """Section of the report page: title, notes, and panels that the reader switches between; ``first`` is the panel
+    shown initially.
+    """
 
     title: str
     panels: list[Panel]
@@ -67,7 +71,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Builder of the figures on the report page of a result, which also writes them as files where ``files`` asks."""
+    """Drawing functions for one report page; each figure is also written as a file if ``files`` is given."""
 
     result: xr.Dataset
     folder: Path
@@ -76,7 +80,7 @@ class _Figures:
 
     @property
     def wide_mm(self) -> float:
-        """Return the width of a figure of several panels."""
+        """Return the width (mm) of figures with several panels."""
         return (self.files and self.files.width_mm) or TWO_COLUMNS_MM
 
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
@@ -93,7 +97,7 @@ class _Figures:
         return Drawn(name, svg, caption_of(figure))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of the report with curves of given variables; None if none of these is known.
+        """Return a section with one curve per variable; None if the result has values of none of them.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -111,7 +115,7 @@ class _Figures:
         return Section(title, panels, notes)
 
     def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw one figure for each given variable, all with equal settings, named by variable and abscissa."""
+        """Draw one figure per variable, passing the same settings to each drawing function."""
         figures = []
         for draw_one, variable in given:
             on = draw_one(self.result, **settings)
@@ -293,7 +297,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map of a quantity has a value in any of the given frames."""
+    """Return True if a map of a quantity has a finite value in any of the given frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -307,7 +311,9 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the overlay image that `fingerflow calibrate` wrote beside the calibration file, in base64, or None."""
+    """Return the overlay image (base64) that `fingerflow calibrate` wrote next to the calibration file, or None if
+    missing.
+    """
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

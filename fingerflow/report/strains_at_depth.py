@@ -24,7 +24,9 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stress and strain below the surface in K presses, at Y positions along the surface and several depths."""
+    """Stress and strain below the surface of K simulated presses, at Y positions along the surface and several
+    depths.
+    """
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -35,7 +37,9 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under simulated pressure and traction, and the resulting viscoelastic strain."""
+    """Compute elastic stress in the half-space under the simulated pressure and traction, and the viscoelastic strain
+    that follows.
+    """
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -54,7 +58,7 @@ def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -
 
 
 def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Draw figure S10 A: pressure (kPa) under the skin and its shape (mm) as the force rises, at the high friction."""
+    """Draw figure S10 A: contact pressure (kPa) and shape of the skin (mm) as the force rises, at high friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
@@ -140,7 +144,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
 
 
 def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Axes:
-    """Draw figure S10 E: strain along the surface (%) 2 mm deep, over position and time, at the high friction."""
+    """Draw figure S10 E: tangential strain (%) 2 mm deep as a map over position and time, at high friction."""
     axes: Axes = part.subplots()
     strain = 100 * depth.strain_y[:, presses.index(HIGH)]
     largest = float(np.abs(strain).max())
@@ -167,7 +171,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return line styles of decreasing width for the presses, so that nearly equal curves stay visible."""
+    """Return one line style per simulation, thinner for later ones, so that overlapping curves stay visible."""
     widths = np.linspace(2.6, 0.8, len(presses.friction))
     styles = line_styles(len(presses.friction), ordered=True)
     return [
@@ -177,7 +181,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return a text with the ratios of values (K,) at high friction to those at low and at least friction."""
+    """Return text with the ratios of values (K,) at high friction to those at low and at the lowest friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

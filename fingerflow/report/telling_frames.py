@@ -1,4 +1,6 @@
-"""Key frames of a trial, shown as maps and columns of numbers: selected by force, slip, displacement or contact."""
+"""Key frames of a trial, shown as maps and table columns: selected by force, load ratio, displacement or contact
+area.
+"""
 
 from typing import NamedTuple
 
@@ -22,8 +24,8 @@ class Telling(NamedTuple):
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Select at most five key frames of a result by normal force, load ratio, displacement or contact, in order of
-    time.
+    """Select at most five key frames of a result, in order of time, by normal force, load ratio, displacement or
+    contact area.
 
     Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
     and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
@@ -48,7 +50,9 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return a mask (F,) of frames with known fields, or with contact if the result has no fields."""
+    """Return a mask (F,) of the frames with finite divergence or motion; without such variables, of the frames with
+    contact.
+    """
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -102,14 +106,16 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
-    """Return two key frames: the frame of the largest value, and the first frame with at least half of it."""
+    """Return two key frames of a series (F,): where it is largest, and where it first reaches half of that."""
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
     return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return up to five candidate key frames, in order of time and more than 2 % of the recording from each other."""
+    """Select up to five of the candidate key frames, more than 2 % of `count` frames from each other, and sort them by
+    time.
+    """
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -74,7 +74,8 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of a metric, with 95 % intervals and an ANOVA.
+    """Draw figures S5 E, F and G: share of answers "more slippery" in eight bins of a metric, with 95 % intervals and
+    an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
@@ -101,7 +102,9 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high metric values."""
+    """Draw figure S5 I: share of answers "more slippery" by vibration amplitude, one bar each for low, middle and high
+    values of a metric.
+    """
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -138,7 +141,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric of the trials by vibration amplitude, with an ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric against vibration amplitude, over all trials, with an ANOVA.
 
     Trials, medians and mean ± SD are drawn.
 
@@ -177,7 +180,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S7 C to E, S8 H and I, S9 E: share of answers against the median of a metric.
+    """Draw figures S7 C to E, S8 H and I, S9 E: share of answers "more slippery" against the median of a metric.
 
     One dot a participant and amplitude, darker for smaller amplitudes. The title has Spearman's coefficient over the
     dots.
@@ -203,7 +206,9 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
-    """Draw figures S8 G and S9 D: one metric against another, one colour a participant, least-squares line and R²."""
+    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with least-squares line and
+    R².
+    """
     x, y = _draw_by_participant(axes, trials, first, second)
     found = pearson(x, y)
     if np.isfinite(found.value):
@@ -238,7 +243,8 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return a dot per participant and condition: a metric's median, share of answers, condition index, participant.
+    """Return median of a metric, share of answers, condition index and participant (N,) for N pairs of participant and
+    condition.
 
     Pairs without a known value are left out.
     """
@@ -254,7 +260,9 @@ def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
-    """Return the participants' names and medians of a metric, in the unit of its axis; NaN where unknown."""
+    """Return the names of the participants and the median of a metric for each, in the unit of its axis; NaN where
+    unknown.
+    """
     names = np.unique(trials.participant)
     values = _shown(trials, metric)
     own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
@@ -262,7 +270,9 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
 
 
 def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
-    """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
+    """Add grid and caption to axes as `finished` does, with the legend to the right of the axes, where it covers no
+    data.
+    """
     finished(axes, caption)
     axes.legend(
         frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,
@@ -272,7 +282,9 @@ def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
 
 
 def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
-    """Draw a metric against another, one colour a participant; return the values of both in the units of the axes."""
+    """Draw one metric against another, coloured by participant, and return the values (T,) of both in the units of the
+    axes.
+    """
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, style in zip(names, dot_styles(names.size), strict=True):
@@ -288,7 +300,7 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Return the names of the conditions in rising order, and for each trial the index of its condition."""
+    """Return the names of the conditions in ascending order, and the index of its condition for each trial."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 
@@ -304,7 +316,7 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
 
 
 def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1.
+    """Return the 95 % Wilson score interval of the share of positive answers, corrected for clustering by participant.
 
     The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
     sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
@@ -323,7 +335,7 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
 
 
 def _of_anova(test: Anova) -> str:
-    """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
+    """Return text on an analysis of variance: F, degrees of freedom, p-value, numbers of trials and participants."""
     if np.isnan(test.f):
         return "no F"
     size = f"{sum(test.trials.values())} trials of {test.participants} participants"
@@ -331,7 +343,7 @@ def _of_anova(test: Anova) -> str:
 
 
 def _said_of(test: Anova) -> str:
-    """Return a sentence on an analysis of variance for captions."""
+    """Return a caption sentence that names an analysis of variance and states its outcome."""
     reason = f" ({test.reason})" if test.reason else ""
     return f"ANOVA with participants as a random effect: {_of_anova(test)}{reason}."
 

@@ -16,7 +16,7 @@ _NAMES = ("participant", "trial")  # kept as text; conditions are numbers if all
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:
-    """Read a CSV table of trials, and check it by `fingerflow.models.observer.read_trials`.
+    """Read a table of trials from a CSV file and validate it with `fingerflow.models.observer.read_trials`.
 
     Columns `participant`, `trial`, `condition` (the vibration amplitude in µm, for figures against it), `answer` (1 or
     true where the comparison was felt as more slippery, which is correct) and metrics. An empty cell is NaN.

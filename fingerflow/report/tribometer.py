@@ -34,7 +34,8 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in six equal bins of vibration amplitude.
+        """Return friction coefficients of each rising half period of the modulation, in six equal bins of vibration
+        amplitude.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
@@ -138,6 +139,6 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile of values, to ignore outliers."""
+    """Return an upper axis limit (1.2 times the 0.99 quantile) that ignores outliers; None without finite values."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

@@ -32,7 +32,9 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Return an image (H, W, 3) of the views side by side in a frame, given by its index in the result."""
+        """Return an RGB image (H, W, 3) of the views of a frame next to each other; `frame` is an index into the
+        result.
+        """
         picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
         outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
         parts = []
@@ -74,5 +76,7 @@ class ViewPainter:
 
 
 def _eighths(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return positions (N, 2) in eighths of a pixel, the precision of OpenCV's drawing; arbitrary where unknown."""
+    """Convert positions (N, 2) from mm on the glass to integers in 1/8 px, as OpenCV draws them; arbitrary where
+    NaN.
+    """
     return np.round(np.nan_to_num(in_pixels(millimetres, matrix)) * 8).astype(np.int32)

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 
 class Interrupted(Exception):
-    """Raised after Ctrl-C or the loss of the scheduler; the message says which, and what to do."""
+    """Interruption of a run by Ctrl-C or by loss of the scheduler; the message states the cause and what to do."""
 
 
 def cores() -> int:
@@ -45,7 +45,7 @@ def over_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Run tasks on the workers of a cluster, and yield their results in order of completion.
+    """Run a function on tasks, on the workers of a cluster, and yield the results as they complete.
 
     Args:
         act: function of a module that a worker runs.
@@ -74,12 +74,12 @@ def over_workers(
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """Return the number of workers to start: as requested, else one per core; at most one per task."""
+    """Return the number of workers to start: the requested number or one per core, but at most one per task."""
     return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Return the number of threads per worker: this computer's cores shared among workers, or one on a cluster."""
+    """Return the number of threads per worker: an equal share of this computer's cores, or 1 on a remote cluster."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -124,7 +124,7 @@ def _go_through(
 
 
 class _Workers:
-    """Counter of the workers of a cluster, whose number may change during a run.
+    """Tracker of the number of worker threads in a cluster, which may change during a run.
 
     A cluster without workers may still get some: the run then waits, with a warning.
     """
@@ -141,7 +141,7 @@ class _Workers:
         self._ended.set()
 
     def room(self) -> int:
-        """Return how many tasks may be submitted to the workers at a time."""
+        """Return the number of tasks that may be queued on the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
     def _look(self) -> None:
@@ -162,7 +162,9 @@ class _Workers:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
-    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped."""
+    """Yield a Dask client of a cluster, which is closed at the end; a scheduler that was already running keeps
+    running.
+    """
     try:
         import dask
         from distributed import Client, LocalCluster, Security
@@ -231,7 +233,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
 
 
 def _load_once() -> None:
-    """Make workers fork from one process with all modules imported, as imports in each worker would take seconds."""
+    """Preload modules in the process from which workers are forked, so that each worker does not import them again."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
@@ -252,7 +254,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 @contextmanager
 def _interrupt_once() -> Iterator[None]:
-    """Context manager in which SIGTERM ends a run as Ctrl-C does."""
+    """Provide a context in which SIGTERM raises KeyboardInterrupt, as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

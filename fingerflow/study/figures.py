@@ -33,7 +33,9 @@ _MOST_NAMED = 12  # most conditions in a legend
 
 
 class Figured(NamedTuple):
-    """Outcome for one figure: name, file that a page can show ("" if not drawn), caption, and what was left out."""
+    """Outcome for one figure of a study: name, image file for the page ("" if not drawn), caption, and panels left
+    out.
+    """
 
     name: str
     file: str
@@ -49,7 +51,7 @@ def write_figures(
     design: str = FORCED_CHOICE,
     files: FigureFiles = PNG,
 ) -> list[Figured]:
-    """Write the figures of a study and their captions, and return the outcome for each.
+    """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
     Args:
         frame: the table of trials.
@@ -132,6 +134,6 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if all panels that a sentence calls missing are drawn as curves of the study instead."""
+    """Return True if every panel that a sentence reports as missing is drawn as a curve of the study instead."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -31,7 +31,9 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Outcome of `init_study`: written manifest and table, number of trials, and what the user has to fill in."""
+    """Outcome of `init_study`: paths of manifest and table, number of trials, and entries that the user has to
+    complete.
+    """
 
     manifest: Path
     table: Path
@@ -142,7 +144,7 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
 
 
 def _holds_frames(file: Path) -> bool:
-    """Return True if an HDF5 file holds frames; it may hold forces instead."""
+    """Return True if an HDF5 file contains a stack of images, rather than forces."""
     from fingerflow.recordings import open_recording
 
     try:
@@ -163,7 +165,7 @@ def _guessed(place: Path) -> dict[str, str]:
 
 
 def _type_of(dotted: str) -> Any:
-    """Return the type of a key of the scene; None if no such key exists."""
+    """Return the type of a scene key given with dots, such as `tracking.points`; None if there is no such key."""
     found: SceneKey | SceneTable | None = SceneTable(SCENE)
     for part in dotted.split("."):
         found = found.keys.get(part) if isinstance(found, SceneTable) else None
@@ -188,7 +190,7 @@ results = "results"           # where results, the table of trials and the pages
 
 
 def _under_scene(text: str) -> str:
-    """Convert the text of a scene file to tables below [scene], without keys that each trial sets itself."""
+    """Rewrite a scene file's text as tables below [scene] in a manifest, without keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:
         if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):

@@ -73,7 +73,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial by column name, and the moments at which the row of the trial states values."""
+    """Time series of a trial, and the frames (onset, largest force, last contact) at which the row states values."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -101,7 +101,9 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """Return the frame of the largest force during contact; without forces, of the largest apparent contact."""
+        """Return the frame of the largest normal force during contact; without forces, that of the largest contact
+        area.
+        """
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -156,7 +158,9 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the moment between contact onset and largest force at which the normal force first reaches `force`."""
+        """Return the moment at which the normal force first reaches `force`, interpolated between frames; None if it
+        never does.
+        """
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -175,19 +179,21 @@ class _Trial:
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return a series at the forces of `FORCE_GRID`, None where not reached; None if nothing is known."""
+        """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if no value is
+        known.
+        """
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """Return the largest value of a series, from the onset of contact to the last frame with contact."""
+        """Return the largest value of a series between onset and end of contact."""
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]
         return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
 
     def of_the_whole(self) -> dict[str, float]:
-        """Return numbers that describe the whole trial, such as its duration, rather than a moment."""
+        """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
         found: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:
             return found
@@ -234,7 +240,9 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return the columns that are not numbers with a unit: counts, warnings and verdict."""
+        """Return the columns that are not measured quantities: numbers of frames, warnings and classification of
+        slip.
+        """
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

@@ -17,7 +17,7 @@ _TOGETHER = 8  # trials batched on an accelerator
 
 @dataclass(frozen=True)
 class Planned:
-    """Trial that must run: from which part on ("result" or "row"), and why."""
+    """Trial that must run, the part of it that is out of date ("result" or "row"), and the reason."""
 
     entry: TrialEntry
     redo: Part
@@ -26,7 +26,9 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a run: numbers of planned and skipped trials, outcome of each trial, reason for an interruption."""
+    """Outcome of a study run: numbers of planned and skipped trials, outcomes by trial, and reason for an
+    interruption.
+    """
 
     planned: int
     skipped: int
@@ -123,7 +125,7 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Run trials in groups of at most ``size``, and yield the outcomes of each group.
+    """Run trials in groups that share a batch, at most ``size`` in each, and yield the outcomes of one group at a time.
 
     Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
     that was too small for all may suffice for one.
@@ -148,7 +150,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the default number of trials per group: above 1 only for a GPU of this computer."""
+    """Return the default number of trials per group: several on a GPU of this computer, else 1."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
@@ -183,7 +185,9 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome for a trial that no worker could finish; raise FingerflowError if the worker is at fault."""
+    """Return the outcome "failed" for a trial that killed its workers or raised an error; a FingerflowError is raised
+    again.
+    """
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -78,7 +78,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts and numbers (None becomes NaN)."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -107,7 +107,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return contact areas divided by their participant's median, by column; NaN if that median is 0 or unknown."""
+    """Return contact areas divided by the median of their participant; NaN if that median is 0 or unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -116,7 +116,7 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per metric, condition and force: the mean over the participants.
+    """Return mean curves as rows: one row per metric, condition and force, averaged over participants.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force

@@ -1,4 +1,4 @@
-"""Execution of trials by a worker, which takes paths, writes to the trial's folder and returns a short outcome."""
+"""Execution of trials by a worker process, which writes results to the trial's folder and returns a short outcome."""
 
 import errno
 import gc
@@ -34,7 +34,7 @@ _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarra
 
 @dataclass(frozen=True)
 class Job:
-    """Trial of a study that a worker has to run.
+    """Trial to be run by a worker, with the settings that it needs.
 
     Attributes:
         manifest: of this trial alone.
@@ -51,7 +51,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a trial's job: status, reason, and share of the processor time (s) of the batch."""
+    """Outcome of one trial: status, reason for a failure, and the trial's share of the batch's processor time (s)."""
 
     name: str
     status: str
@@ -61,7 +61,7 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process several trials in one batch, and write the row of each, or the reason for its failure.
+    """Process several trials in one batch, write the table row of each, and return their outcomes.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
@@ -69,7 +69,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial as a generator of steps, which alternate with the steps of other trials in a batch."""
+    """Process one trial as a generator, which pauses so that the steps of several trials can share a batch."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -125,14 +125,14 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Return True if a stored row and its result are valid for the trial's present inputs, settings and code."""
+    """Return True if the stored row and result of a trial match its current inputs, settings and code."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)
 
 
 def _is_passing(error: BaseException) -> bool:
-    """Return True if an error is transient, such as lack of memory, so that the same trial may succeed another time."""
+    """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
         or (isinstance(one, OSError) and one.errno in _PASSING)
@@ -149,7 +149,9 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Set the threads and memory allocator of a worker, once, and exclude loaded objects from garbage collection."""
+    """Set the number of threads and the memory allocator of a worker, and exempt loaded objects from garbage
+    collection.
+    """
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

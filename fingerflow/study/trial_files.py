@@ -43,12 +43,12 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """Return the file name of a trial's result, made from a cache key that differs between settings."""
+    """Return the file name of a trial's result, which contains a cache key and so depends on the settings."""
     return f"result-{keys.result}.h5"
 
 
 def has_result(folder: Path, trial: TrialRow) -> bool:
-    """Return True if the result file named in a row exists and is unchanged since it was written."""
+    """Return True if the result file that a row names exists and was not modified since it was written."""
     if trial.result is None or trial.content is None:
         return False
     try:
@@ -59,7 +59,7 @@ def has_result(folder: Path, trial: TrialRow) -> bool:
 
 
 def write_row(folder: Path, trial: TrialRow) -> None:
-    """Write `row.json` of a trial, and remove result files that it does not name."""
+    """Write `row.json` of a trial, and delete result files other than the one it names."""
     content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
     write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Run of a fingerflow command in a subprocess, so that the page stays responsive; progress is read from its output."""
+"""A fingerflow command that runs in a subprocess, with progress read from its output."""
 
 import re
 import subprocess
@@ -16,7 +16,7 @@ _READ = 256  # bytes a read
 
 
 class Command:
-    """Run of a fingerflow command in a subprocess. Ending it leaves no partly written file.
+    """A fingerflow command that runs in a subprocess; stopping it leaves no partly written file.
 
     Attributes:
         to: path of its output.

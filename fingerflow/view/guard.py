@@ -62,7 +62,7 @@ class Guard:
 
 
 def _opens(headers: Headers, scope: Scope) -> bool:
-    """Return whether a request only opens the start page by a link from another site.
+    """Return True if a request opens the start page, which links on other sites may do; the token is still required.
 
     Such a request is allowed, but needs the token.
     """

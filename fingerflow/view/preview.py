@@ -1,4 +1,4 @@
-"""Preview of what `process` will compute for one frame, by stages of `process` that run for that frame only."""
+"""Preview for one frame of what `process` will compute, by running its stages for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from fingerflow.schema.scene import Scene
 
 @dataclass(frozen=True)
 class Preview:
-    """Predicted contact in one frame.
+    """Predicted contact in one frame: mask, markers of a soft sensor, and numbers.
 
     Attributes:
         mask: (h, w) bool, real contact in the contact view; for a soft sensor gross contact.
@@ -38,7 +38,9 @@ class Preview:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Predicted seeding: points (N, 2) px of the topography view, the frame in which they are seeded, and warnings."""
+    """Predicted points to track (N, 2) px in the topography view, the frame in which they are detected, and
+    warnings.
+    """
 
     points: NDArray[np.floating]
     frame: int
@@ -46,13 +48,13 @@ class Chosen:
 
 
 class Previewer:
-    """Stages of a scene that are run for single frames, to predict what `process` computes.
+    """Previewer of a scene: runs stages of `process` for single frames.
 
     Every frame is assumed usable: `process` decides that from all frames together.
     """
 
     def __init__(self, scene: Scene, before: "Previewer | None" = None) -> None:
-        """Open the inputs of a scene, or reuse those of `before` if files and views are the same.
+        """Open the inputs of a scene, reusing those of the earlier previewer `before` if files and views are unchanged.
 
         Raises:
             FingerflowError: an input is missing or invalid.
@@ -71,7 +73,7 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """Begin the contact stage; `before` is a previewer with the same recording, views and background, or None."""
+        """Begin the contact stage, reusing work of the earlier previewer `before` if it has the same inputs."""
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
@@ -96,7 +98,7 @@ class Previewer:
         return {name: values for name, values in given.items() if values is not None}
 
     def contact(self, frame: int) -> Preview:
-        """Return the predicted contact in a frame, counted from 0 at the first selected frame."""
+        """Return the predicted contact in a frame, given by its index among the selected frames of the recording."""
         if frame not in self._seen:
             with torch.inference_mode():
                 found = run_alone(self._contact.step(self._batch(frame)))
@@ -104,7 +106,7 @@ class Previewer:
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
-        """Return the points that `process` would seed in the first frame (in the last one for backward tracking).
+        """Return the points that `process` would detect in its first frame (in the last one for backward tracking).
 
         Raises:
             FingerflowError: too few points, or no topography view.
@@ -124,7 +126,7 @@ class Previewer:
         return Chosen(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
-        """Return a run context with space for the results of `stored` frames."""
+        """Return a run context of the pipeline with storage for the results of `stored` frames."""
         planned = plan(None, self.scene)
         return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
 
@@ -139,16 +141,18 @@ class Previewer:
 
 
 def all_of_default_stages(scene: Scene) -> list[str]:
-    """Return all variables of the stages of a default run, including those computed only on request."""
+    """Return the names of all variables that the stages of a default run can compute, including those off by
+    default.
+    """
     stages = plan(None, scene).stages
     return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
 
 
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """Return the values of a contact stage's series at one frame, without the frame status."""
+    """Return the numbers that a contact stage computed for one frame, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
 def _opened(scene: Scene) -> Sequence[Any]:
-    """Return the settings that determine which files are opened and how."""
+    """Return the scene settings that determine which input files are opened and how."""
     return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

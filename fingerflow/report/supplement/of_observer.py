@@ -35,7 +35,9 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Return figure S11: the ideal observer for the paper's metrics, without trials in which the finger slid."""
+    """Return figure S11: performance of an ideal observer that uses each metric of the paper, excluding trials with
+    gross slip.
+    """
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
     missing = [name for name in _OBSERVED if name not in metrics]

@@ -51,7 +51,9 @@ def friction_and_area(sources: Sources) -> Sheet:
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Return figure S5: force and motion. J is drawn from the table and the skin chain, K from the skin chain."""
+    """Return figure S5: force and finger motion, from the table of trials; panels J and K also from the skin-chain
+    model.
+    """
     found, lacking = _from_table(
         sources,
         ("B", draw_distribution, "max_force"),
@@ -73,7 +75,9 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7: displacement and force angle; D and E use differences from the reference where known."""
+    """Return figure S7: displacement and force angle; panels D and E show comparison minus reference if the table has
+    both.
+    """
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
@@ -86,7 +90,9 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8: surface strain, in panels B, D, E and F from the skin chain, else from the table of trials."""
+    """Return figure S8: surface strain; panels B, D, E and F come from the skin-chain model, all others from the table
+    of trials.
+    """
     chain = (
         SheetPanel(
             "B and D (skin chain)",
@@ -109,7 +115,9 @@ def surface_strain(sources: Sources) -> Sheet:
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Return figure S9: strain energy. A, B and C are from the skin chain; E uses differences if the table has them."""
+    """Return figure S9: strain energy; panels A, B and C come from the skin-chain model, all others from the table of
+    trials.
+    """
     chain = (
         SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
@@ -124,7 +132,7 @@ def strain_energy(sources: Sources) -> Sheet:
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Return the panels whose metrics a table of trials contains, and letter and missing input of all others.
+    """Return the panels that a table of trials supports, and (letter, missing input) of each other panel.
 
     Args:
         sources: hold the table.

@@ -1,4 +1,4 @@
-"""Inputs of the supplement's figures, each read or simulated once, when the first figure needs it."""
+"""Inputs of the supplement's figures, each read or simulated when first used and then kept."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,9 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the supplement's figures: a tribometer trace, a table of trials with its design, and simulations."""
+    """Inputs of the supplement's figures: tribometer trace, table of trials, design of the experiment, and
+    simulations.
+    """
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -27,7 +29,7 @@ class Sources:
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
-        """Return friction in the epochs of the tribometer trace; None without a trace."""
+        """Return the friction coefficients of each sliding epoch of the tribometer trace; None without a trace."""
         return None if self.tribometer is None else self.tribometer.epochs()
 
     @cached_property
@@ -46,12 +48,16 @@ class Sources:
         return press_field(Press())
 
     def difference(self, metric: str) -> str:
-        """Return the name of the column with a metric's difference (comparison less reference), else the metric's."""
+        """Return the column name of a metric's difference (comparison minus reference); the metric's own name if there
+        is no such column.
+        """
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """Return the missing input of a panel that shows these metrics, as text; empty if nothing is missing."""
+        """Return text that names missing input for a panel of the given metrics; an empty string if nothing is
+        missing.
+        """
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics
