@@ -28,18 +28,14 @@ Width = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """Run `fingerflow.process` on a scene with a progress bar unless `quiet`; torch is imported only when this is
-    called.
-    """
+    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; torch is imported only here."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
 
 
 def figure_files(formats: str | None, width: str | None) -> Any:
-    """Return the `FigureFiles` for the options --format and --width; matplotlib is imported only when this is
-    called.
-    """
+    """Return the `FigureFiles` for the options --format and --width; matplotlib is imported only here."""
     from fingerflow.plot.figure_files import FigureFiles
 
     return FigureFiles.of(formats or "png", width)

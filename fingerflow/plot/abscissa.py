@@ -81,9 +81,7 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Return the noise (standard deviation) of a force, estimated from second differences, which a steady rise does not
-    affect.
-    """
+    """Return the noise (standard deviation) of a force from second differences, which ignore a steady rise."""
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

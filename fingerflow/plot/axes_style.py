@@ -66,9 +66,7 @@ def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
 
 
 def dot_styles(count: int) -> list[dict[str, Any]]:
-    """Return keyword arguments of `Axes.plot` for `count` groups of dots: colours from dark to light, and different
-    markers.
-    """
+    """Return keyword arguments of `Axes.plot` for `count` groups of dots, which differ in colour and marker."""
     colours = colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1)))
     return [{"color": colours[k], "marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
 

@@ -19,9 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """Curve of a figure: legend name, values (F,) and standard deviations (F,) or None in the unit of the axis, and
-    variable.
-    """
+    """Curve of a figure: legend name, values and standard deviations (F,) or None in the axis unit, and variable."""
 
     name: str
     values: Values

@@ -234,9 +234,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Select about `most` evenly spread positions, the one nearest to the centre of each grid cell, and return their
-    indices.
-    """
+    """Return indices of about `most` evenly spread positions, one in each grid cell, nearest to its centre."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)

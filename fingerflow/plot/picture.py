@@ -29,9 +29,7 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, omitting a view that covers the same rectangle of the frame as an earlier
-    one.
-    """
+    """Return the names of a scene's views, only the first of those that cover the same part of the frame."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)

@@ -6,8 +6,7 @@ _NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmet
 
 
 def with_uncertainty(value: float, spread: float = math.nan) -> str:
-    """Return "value ± spread" with two significant digits of the spread, or the value with three digits if the spread
-    is NaN.
+    """Return "value ± spread" with two significant digits of the spread; three of the value if it has no spread.
 
     >>> with_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'
@@ -21,8 +20,7 @@ def with_uncertainty(value: float, spread: float = math.nan) -> str:
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return "value (low to high)" with two significant digits of half the interval, or the value alone if the interval
-    is NaN.
+    """Return "value (low to high)" with two significant digits of half the interval; without it the value alone.
 
     >>> with_interval(0.8312, 0.7344, 0.9018)
     '0.831 (0.734 to 0.902)'

@@ -30,8 +30,7 @@ _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larg
 
 @dataclass(frozen=True)
 class BesideChain:
-    """Contact area and divergence at T forces: measured (T,), and simulated (K, T) by a skin chain at K friction
-    coefficients.
+    """Contact area and divergence at T forces: measured (T,), and of skin chains with K frictions (K, T).
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
@@ -66,8 +65,7 @@ class BesideChain:
 
 
 def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
-    """Simulate a skin chain under the measured normal force at several frictions, with tissue stiffness fitted to
-    contact area.
+    """Simulate a skin chain of fitted stiffness under the measured normal force, once for each friction coefficient.
 
     Raises:
         FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a
@@ -118,9 +116,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
 
 
 def inner_divergence(result: xr.Dataset) -> Values:
-    """Return the mean divergence (F,), um/mm, of points in the inner 0.6 of the contact ellipse in each frame; NaN
-    without points.
-    """
+    """Return the mean divergence (F,), um/mm, of points within 0.6 of the contact ellipse; NaN without points."""
     found = np.full(result.sizes["frame"], np.nan)
     if "divergence" not in result or "position" not in result:
         return found

@@ -118,9 +118,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return an arrow scale, rounded to one digit, at which the 0.95 quantile of the displacements is a sixth of the
-    field wide.
-    """
+    """Return an arrow scale, to one digit, that draws the 0.95 quantile of displacement as a sixth of the field."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

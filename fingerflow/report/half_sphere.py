@@ -12,9 +12,7 @@ DEPTH_MM, DEEPEST_MM = 3.0, 4.0
 
 
 def draw_half_sphere(axes: Axes) -> Axes:
-    """Draw figure S4 A: a fingertip pressed 3 mm into the glass, with its arc of length 2 L and its contact of width 2
-    a (mm).
-    """
+    """Draw figure S4 A: a fingertip pressed 3 mm into the glass, its arc (2 L) and its contact width (2 a), mm."""
     delta, radius = DEPTH_MM, RADIUS_MM
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY)

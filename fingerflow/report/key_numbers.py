@@ -67,8 +67,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the local standard deviation (F,) of a series: of the residuals from a parabola fitted to 11 frames around
-    each frame.
+    """Return the standard deviation (F,) of a series about parabolas fitted to 11 frames around each frame.
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """

@@ -58,9 +58,7 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
-    """Draw the table of figure S11 C: estimate, interval and number of trials of each metric, and the value by
-    chance.
-    """
+    """Draw the table of figure S11 C: estimate, interval and number of trials of each metric, and chance level."""
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
@@ -78,9 +76,7 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
 
 
 def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
-    """Draw figure S12 A: histogram of participant medians, the fitted mixture of two Gaussians, and the border between
-    the two groups.
-    """
+    """Draw figure S12 A: histogram of participant medians, fitted two-Gaussian mixture, and border of the groups."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
@@ -104,8 +100,7 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
 def draw_psychometric(
     axes: Axes, curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, PsychometricFit]], stimulus: str
 ) -> Axes:
-    """Draw figures S12 B and C: the psychometric curve of each group, fitted to its shares of answers, with threshold
-    interval.
+    """Draw figures S12 B and C: shares of answers with the fitted psychometric curve and threshold of each group.
 
     Args:
         curves: (stimulus, answers, trials, fit) by name of the group, as passed to `fit_psychometric`.

@@ -38,9 +38,7 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure for the report page: unique name, SVG text, caption, and curve values to display at the cursor (or
-    None).
-    """
+    """Figure for the report page: unique name, SVG text, caption, and curve values to display at the cursor."""
 
     name: str
     svg: str
@@ -59,9 +57,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the report page: title, notes, and panels that the reader switches between; ``first`` is the panel
-    shown initially.
-    """
+    """Section of the report page: title, notes, and panels of which the reader sees one at a time."""
 
     title: str
     panels: list[Panel]
@@ -311,9 +307,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the overlay image (base64) that `fingerflow calibrate` wrote next to the calibration file, or None if
-    missing.
-    """
+    """Return the overlay image (base64) that `fingerflow calibrate` wrote with the calibration; None if missing."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

@@ -35,9 +35,7 @@ _SINCE = "Strains count from the undeformed finger."
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Skin-chain simulations of a press at K friction coefficients and T times; `chain` holds arrays (T, K, ...) in SI
-    units.
-    """
+    """Skin-chain simulations of a press at K frictions and T times; `chain` holds arrays (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -49,9 +47,7 @@ class SimulatedPresses:
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return radial and hoop strain of each contact as a function of radius, interpolated between chain
-        elements.
-        """
+        """Return radial and hoop strain of each contact by radius, interpolated between the chain's elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -73,9 +69,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Radial and hoop strain (T, K, R) at T times, K frictions and R radii (mm) from centre to contact edge; NaN
-    without contact.
-    """
+    """Radial and hoop strain (T, K, R) at T times, K frictions and R radii (mm) up to the contact edge."""
 
     radius: Values
     radial: Values  # du/dx
@@ -97,9 +91,7 @@ def simulate_presses(
 
 
 def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]:
-    """Draw figures S8 B and D: maps of exx, eyy and exy (%) at full load, one row per friction, on a common colour
-    scale.
-    """
+    """Draw figures S8 B and D: maps of exx, eyy and exy (%) at full load, one row per friction, in equal colours."""
     extents, strains = _turned(presses)
     largest = 100 * float(np.nanmax(np.abs(strains)))
     axes: NDArray[Any] = part.subplots(2, 3, sharex=True, sharey=True)
@@ -141,9 +133,7 @@ def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axe
 
 
 def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = False) -> Sequence[Axes]:
-    """Draw figure S8 E: median radial and hoop strain (%) against normal force; with ``rate`` figure S8 F, their rates
-    (%/s).
-    """
+    """Draw figure S8 E: median radial and hoop strain (%) against normal force; with ``rate`` S8 F, their rates."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharex=True)
     found = presses.profile()
     for one, strain, name in zip(axes, (found.radial, found.hoop), ("radial", "hoop"), strict=True):
@@ -179,9 +169,7 @@ def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False
 
 
 def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 K: tangential speed (mm/s) of the chain element in contact that has moved furthest, against normal
-    force.
-    """
+    """Draw figure S5 K: tangential speed (mm/s) of the chain element that moves furthest, against normal force."""
     moved = 1e3 * presses.chain.displacement[..., 0].numpy()
     touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
     furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
@@ -197,9 +185,7 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 J for the skin chain: largest tangential displacement (mm) in contact at full load, by
-    friction.
-    """
+    """Draw figure S5 J for the skin chain: largest tangential displacement (mm) at full load, by friction."""
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
@@ -221,9 +207,7 @@ def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return time derivatives (T, K) per second: slopes of lines fitted to 0.12 s of evenly sampled values; NaN near
-    the ends.
-    """
+    """Return time derivatives (T, K) per second: slopes of lines fitted to 0.12 s of values; NaN near the ends."""
     step = float(time[1] - time[0])
     width = max(1, round(_SLOPE_S / step / 2))
     rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
@@ -238,8 +222,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, rotating the radial profile about its
-    centre.
+    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, assuming axial symmetry.
 
     They are those at full load; NaN off contact.
     """

@@ -1,6 +1,4 @@
-"""Figures 1 and 2 of Terekhov & Hayward 2011: skin motion, and the relative stuck area d^2 against load ratio and
-time.
-"""
+"""Figures of Terekhov & Hayward 2011: skin motion, and the relative stuck area against load ratio and time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -71,9 +69,7 @@ def draw_trial(
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: relative stuck area d^2 against load ratio (tangential over normal force) for one trial,
-    with the fitted model.
-    """
+    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model."""
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
     axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
     if np.isfinite(verdict.loss_load_ratio):
@@ -101,8 +97,7 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for many trials: relative stuck area d^2 against load ratio, scaled to 1 at the complete
-    loss of adhesion.
+    """Draw figures 2 b and c for many trials: stuck area d^2 against load ratio, scaled to 1 at full slip.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """
@@ -127,9 +122,7 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
 
 
 def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
-    """Draw figure 2 d: relative stuck area d^2 against time (s), with its sudden collapse and the complete loss of
-    adhesion marked.
-    """
+    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip."""
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
     axes.plot(when, area, color=INK, linewidth=1)
     collapses = _draw_collapse(axes, when, area, verdict)

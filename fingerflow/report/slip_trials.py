@@ -24,9 +24,7 @@ from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_tri
 
 @dataclass(frozen=True)
 class SlipTrial:
-    """Processed trial of tangential loading: name, result data set, classification (verdict), and friction fit or
-    None.
-    """
+    """Processed trial of tangential loading: name, result data set, verdict on slip, and friction fit or None."""
 
     name: str
     result: xr.Dataset
@@ -43,9 +41,7 @@ class SlipTrial:
 
     @property
     def words(self) -> str:
-        """Return a short name of the trial without path: that of the scene file, or of its folder for a
-        `scene.toml`.
-        """
+        """Return a short name of the trial: the stem of its scene file, or the folder of a file `scene.toml`."""
         path = Path(self.name)
         return path.parent.resolve().name if path.stem == "scene" else path.stem
 
@@ -57,9 +53,7 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return one line with the classifications of a trial by change point, by the published rule and by model
-    comparison.
-    """
+    """Return one line with the verdicts on a trial by change point, by the published rule and by model."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -74,7 +68,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return one line with the number of trials in each class, by the change point and by the published rule."""
+    """Return one line that counts the trials by verdict, by the change point and by the published rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -136,9 +130,7 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Parse the JSON in an attribute of a result that stores a dataclass of numbers: null becomes NaN, lists become
-    tuples.
-    """
+    """Parse the JSON of a result's attribute, with NaN for null and tuples for lists."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

@@ -24,9 +24,7 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stress and strain below the surface of K simulated presses, at Y positions along the surface and several
-    depths.
-    """
+    """Stress and strain below the surface of K simulated presses, at Y positions along it and several depths."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -37,9 +35,7 @@ class Depth:
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute elastic stress in the half-space under the simulated pressure and traction, and the viscoelastic strain
-    that follows.
-    """
+    """Compute stress below the surface of simulated presses, and the viscoelastic strain that it causes."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)

@@ -1,6 +1,4 @@
-"""Key frames of a trial, shown as maps and table columns: selected by force, load ratio, displacement or contact
-area.
-"""
+"""Key frames of a trial for maps and tables: selected by force, load ratio, displacement or contact area."""
 
 from typing import NamedTuple
 
@@ -24,8 +22,7 @@ class Telling(NamedTuple):
 
 
 def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Select at most five key frames of a result, in order of time, by normal force, load ratio, displacement or
-    contact area.
+    """Select up to five key frames of a result, in order of time: at the largest force, for example.
 
     Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
     and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
@@ -50,9 +47,7 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the frames with finite divergence or motion; without such variables, of the frames with
-    contact.
-    """
+    """Return a mask (F,) of frames with known divergence or motion, or with contact if neither was computed."""
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -113,9 +108,7 @@ def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
 
 
 def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Select up to five of the candidate key frames, more than 2 % of `count` frames from each other, and sort them by
-    time.
-    """
+    """Select up to five candidate frames that lie more than 2 % of `count` frames apart, and sort them by time."""
     kept: list[Telling] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

@@ -74,8 +74,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers "more slippery" in eight bins of a metric, with 95 % intervals and
-    an ANOVA.
+    """Draw figures S5 E, F and G: share of "more slippery" answers in eight bins of a metric, with an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
@@ -102,9 +101,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers "more slippery" by vibration amplitude, one bar each for low, middle and high
-    values of a metric.
-    """
+    """Draw figure S5 I: share of "more slippery" answers by vibration amplitude, for three levels of a metric."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -180,7 +177,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S7 C to E, S8 H and I, S9 E: share of answers "more slippery" against the median of a metric.
+    """Draw figures S7 C to E, S8 H and I, S9 E: share of "more slippery" answers against the median of a metric.
 
     One dot a participant and amplitude, darker for smaller amplitudes. The title has Spearman's coefficient over the
     dots.
@@ -206,9 +203,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
-    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with least-squares line and
-    R².
-    """
+    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R²."""
     x, y = _draw_by_participant(axes, trials, first, second)
     found = pearson(x, y)
     if np.isfinite(found.value):
@@ -243,8 +238,7 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return median of a metric, share of answers, condition index and participant (N,) for N pairs of participant and
-    condition.
+    """Return median metric, share of answers, condition index and participant (N,) of N participant-condition pairs.
 
     Pairs without a known value are left out.
     """
@@ -260,9 +254,7 @@ def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
-    """Return the names of the participants and the median of a metric for each, in the unit of its axis; NaN where
-    unknown.
-    """
+    """Return the participants' names and the median of a metric for each, in its axis unit; NaN where unknown."""
     names = np.unique(trials.participant)
     values = _shown(trials, metric)
     own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
@@ -270,9 +262,7 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
 
 
 def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
-    """Add grid and caption to axes as `finished` does, with the legend to the right of the axes, where it covers no
-    data.
-    """
+    """Add grid and caption to axes as `finished` does, with the legend to the right of them."""
     finished(axes, caption)
     axes.legend(
         frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,
@@ -282,9 +272,7 @@ def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
 
 
 def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
-    """Draw one metric against another, coloured by participant, and return the values (T,) of both in the units of the
-    axes.
-    """
+    """Draw one metric against another, coloured by participant, and return both (T,) in the units of the axes."""
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, style in zip(names, dot_styles(names.size), strict=True):

@@ -34,8 +34,7 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period of the modulation, in six equal bins of vibration
-        amplitude.
+        """Return friction coefficients of each rising half period of vibration, in six bins of equal amplitude range.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.

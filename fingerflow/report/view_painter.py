@@ -32,9 +32,7 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Return an RGB image (H, W, 3) of the views of a frame next to each other; `frame` is an index into the
-        result.
-        """
+        """Return an RGB image (H, W, 3) of a frame's views next to each other; `frame` is an index in the result."""
         picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
         outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
         parts = []
@@ -76,7 +74,5 @@ class ViewPainter:
 
 
 def _eighths(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Convert positions (N, 2) from mm on the glass to integers in 1/8 px, as OpenCV draws them; arbitrary where
-    NaN.
-    """
+    """Convert positions (N, 2) from mm on the glass to integers in 1/8 px for OpenCV; arbitrary where NaN."""
     return np.round(np.nan_to_num(in_pixels(millimetres, matrix)) * 8).astype(np.int32)

@@ -50,9 +50,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Keys:
-    """Cache keys of a trial: digest for its result, digest for its table row, and input files by key of the scene
-    file.
-    """
+    """Cache keys of a trial: digests for result and table row, and the input files by key of the scene file."""
 
     result: str
     row: str
@@ -93,9 +91,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return size, time and digest of an input file or folder, reusing the `earlier` digest if size and time are
-    unchanged.
-    """
+    """Return size, time and digest of a file or folder, taking `earlier.digest` if size and time are equal."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]

@@ -162,9 +162,7 @@ class _Workers:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
-    """Yield a Dask client of a cluster, which is closed at the end; a scheduler that was already running keeps
-    running.
-    """
+    """Yield a Dask client, closed at the end with the cluster; a scheduler that ran before keeps running."""
     try:
         import dask
         from distributed import Client, LocalCluster, Security

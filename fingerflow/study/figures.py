@@ -33,9 +33,7 @@ _MOST_NAMED = 12  # most conditions in a legend
 
 
 class Figured(NamedTuple):
-    """Outcome for one figure of a study: name, image file for the page ("" if not drawn), caption, and panels left
-    out.
-    """
+    """Outcome for one figure of a study: name, image file ("" if not drawn), caption, and panels left out."""
 
     name: str
     file: str

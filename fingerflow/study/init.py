@@ -31,9 +31,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Outcome of `init_study`: paths of manifest and table, number of trials, and entries that the user has to
-    complete.
-    """
+    """Outcome of `init_study`: paths of manifest and table, number of trials, and entries to complete by hand."""
 
     manifest: Path
     table: Path

@@ -62,9 +62,7 @@ class Manifest:
     design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; if it is invalid, raise FingerflowError that states row, key, value and
-        remedy.
-        """
+        """Return the scene of a trial; if it is invalid, raise FingerflowError with row, key, value and remedy."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
@@ -162,9 +160,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Find files by a name pattern such as `{participant}_{trial}.cine`, and return the values in braces, one row per
-    file.
-    """
+    """Return the values of the names in braces for each file that matches a pattern, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -251,9 +247,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Check that a dotted column name is a key of scene files; raise FingerflowError otherwise. Keys in `views` are not
-    checked.
-    """
+    """Raise FingerflowError if a dotted column name is no key of scene files; keys in `views` are not checked."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -273,9 +267,7 @@ def _value(cell: str) -> Any:
 
 
 def _safe(text: str) -> str:
-    """Return a text as a valid and unique file name: characters other than letters, digits, dots and dashes become
-    %xx.
-    """
+    """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

@@ -101,9 +101,7 @@ class _Trial:
         return values
 
     def _most(self) -> int | None:
-        """Return the frame of the largest normal force during contact; without forces, that of the largest contact
-        area.
-        """
+        """Return the frame of the largest normal force during contact; without forces, of the largest contact area."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -158,9 +156,7 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the moment at which the normal force first reaches `force`, interpolated between frames; None if it
-        never does.
-        """
+        """Return the interpolated moment at which the normal force first reaches `force`; None if it never does."""
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -179,9 +175,7 @@ class _Trial:
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if no value is
-        known.
-        """
+        """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if it is unknown."""
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
@@ -240,9 +234,7 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return the columns that are not measured quantities: numbers of frames, warnings and classification of
-        slip.
-        """
+        """Return the columns that are not measured quantities: numbers of frames, warnings and verdict on slip."""
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

@@ -26,9 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a study run: numbers of planned and skipped trials, outcomes by trial, and reason for an
-    interruption.
-    """
+    """Outcome of a study run: numbers of planned and skipped trials, outcomes, and reason for an interruption."""
 
     planned: int
     skipped: int
@@ -185,9 +183,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome "failed" for a trial that killed its workers or raised an error; a FingerflowError is raised
-    again.
-    """
+    """Return the outcome of a trial that killed its worker or raised an error; raise a FingerflowError again."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -43,9 +43,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials used by figures and statistics; if `answered` is False, the study has no answers and `answer` is
-    meaningless.
-    """
+    """Trials that figures and statistics use; if `answered` is False, `answer` holds no real answers."""
 
     trials: Trials
     answered: bool

@@ -149,9 +149,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Set the number of threads and the memory allocator of a worker, and exempt loaded objects from garbage
-    collection.
-    """
+    """Set threads and memory allocator of a worker, and exempt loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

@@ -68,9 +68,7 @@ class TableBody(Body):
 
 
 def body_of(sent: bytes, kind: type[Body]) -> dict[str, Any]:
-    """Parse the JSON body of a request into its fields; raise FingerflowError for invalid JSON or a field of wrong
-    type.
-    """
+    """Return the fields of a JSON request body; raise FingerflowError for invalid JSON or a field of wrong type."""
     try:
         content = kind.model_validate_json(sent).model_dump()
     except ValidationError as error:

@@ -27,9 +27,7 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error raised before overwriting a file whose content the page has neither read nor written: the user must
-    confirm.
-    """
+    """Error raised before overwriting a file that the page has neither read nor written: the user must confirm."""
 
 
 class Draft:
@@ -87,9 +85,7 @@ class Draft:
         return str(values.get("kind", default_kind(values)))
 
     def problems(self) -> list[dict[str, str]]:
-        """Return the validation problems of the draft as key and message; the message continues a sentence that starts
-        with the key.
-        """
+        """Return the draft's validation problems as key and message; the message continues a sentence after the key."""
         _, problems = check_scene(self.values(), self.path.parent, "process")
         found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
         for one in found:
@@ -176,9 +172,7 @@ def files_beside(path: Path) -> list[str]:
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
-    """Return the default views for a kind of scene: two halves of the frame, as in Willemet et al. 2021, or the whole
-    frame.
-    """
+    """Return default views for a kind of scene: both halves of the frame (Willemet et al. 2021), or all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2

@@ -22,9 +22,7 @@ class Pictures:
     """
 
     def __init__(self, recording: Recording) -> None:
-        """Set the contrast from the first and the middle frame of a recording; raise FingerflowError if no frame can be
-        read.
-        """
+        """Set the contrast from the first and the middle frame; raise FingerflowError if no frame can be read."""
         if not len(recording):
             raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
         self.recording = recording
@@ -40,9 +38,7 @@ class Pictures:
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """Convert a frame (H, W) to an 8-bit image (h, w), subsampled by `every`, with the contrast of the
-        recording.
-        """
+        """Convert a frame (H, W) to an 8-bit image (h, w), subsampled by `every`, with the recording's contrast."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)

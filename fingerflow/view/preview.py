@@ -38,9 +38,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Predicted points to track (N, 2) px in the topography view, the frame in which they are detected, and
-    warnings.
-    """
+    """Predicted points to track (N, 2) px in the topography view, the frame of their detection, and warnings."""
 
     points: NDArray[np.floating]
     frame: int
@@ -141,9 +139,7 @@ class Previewer:
 
 
 def all_of_default_stages(scene: Scene) -> list[str]:
-    """Return the names of all variables that the stages of a default run can compute, including those off by
-    default.
-    """
+    """Return the names of all variables of a default run's stages, including those computed only on request."""
     stages = plan(None, scene).stages
     return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
 

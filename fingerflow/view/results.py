@@ -119,8 +119,7 @@ class Results:
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
     def range_of(self, key: str) -> tuple[float, float]:
-        """Return the limits of the colour scale for all frames: symmetric about 0 for signed values, else starting at
-        0.
+        """Return the colour limits for all frames: symmetric about 0 for signed values, else starting at 0.
 
         It is computed from 24 frames, without 4 % of the values at either end.
         """
@@ -148,9 +147,7 @@ class Results:
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """Return the values of one frame as CSV text with one row per point, or per triangle if `shown` is defined on
-        triangles.
-        """
+        """Return a frame's values as CSV text with one row per point, or per triangle if `shown` is of triangles."""
         of = "point" if shown is None else (*self.data[self._name(shown)].dims, "")[1]
         if of not in ("point", "triangle") or "position" not in self.data:
             raise FingerflowError(
@@ -170,9 +167,7 @@ class Results:
         return _csv(columns)
 
     def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """Return a list, for menus of the page, of all variables with the given dimensions, one entry for each
-        component.
-        """
+        """List the variables with the given dimensions for menus of the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
@@ -187,9 +182,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return an arrow scale, rounded to one digit, that draws the largest displacements 40 px long; 0 if there are
-        none.
-        """
+        """Return an arrow scale, to one digit, that draws the largest displacements 40 px long; 0 if unknown."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")

@@ -132,9 +132,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return forces at the times of the frames, the image calibration and warnings, for the draft, as packed
-        bytes.
-        """
+        """Return the draft's forces at the times of the frames, calibration and warnings, as packed bytes."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -182,8 +180,7 @@ class Session:
             return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Set keys of the draft from a request `{"set": [[key, value], ...]}`, where a value {"toml": text} is parsed
-        as TOML.
+        """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
 
         Raises:
             FingerflowError: keys that cannot be set, after all others were set.
@@ -236,9 +233,7 @@ class Session:
             return self.progress("process")
 
     def report(self, asked: Mapping[str, Any]) -> Facts:
-        """Start `fingerflow report` on the result; the command writes `report.html` and `overlay.mp4` into the scene's
-        folder.
-        """
+        """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
         del asked
         with self._lock:
             self._refuse_two()
@@ -324,9 +319,7 @@ class Session:
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the time series of one point with its status, or the median over several points with the number of
-        known points.
-        """
+        """Return the time series of a point with its status, or of several points the median and number known."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
@@ -384,9 +377,7 @@ class Session:
         return self._preview[1]
 
     def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
-        """Return the predicted contact in a frame (index in the file); without arrays for a frame outside the selected
-        range.
-        """
+        """Return the predicted contact in a frame (index in the file), without arrays for a frame not selected."""
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}

@@ -42,9 +42,7 @@ MOVIE = "M3.mp4"
 
 @dataclass(frozen=True)
 class Written:
-    """Outcome for one figure of the supplement: name, path (None if nothing could be drawn), and panels left out with
-    the reason.
-    """
+    """Outcome for one figure: name, path (None if nothing could be drawn), and panels left out with reasons."""
 
     name: str
     path: Path | None

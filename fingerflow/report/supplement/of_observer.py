@@ -35,9 +35,7 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Return figure S11: performance of an ideal observer that uses each metric of the paper, excluding trials with
-    gross slip.
-    """
+    """Return figure S11: the ideal observer for each metric of the paper, from trials without gross slip."""
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
     missing = [name for name in _OBSERVED if name not in metrics]

@@ -51,9 +51,7 @@ def friction_and_area(sources: Sources) -> Sheet:
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Return figure S5: force and finger motion, from the table of trials; panels J and K also from the skin-chain
-    model.
-    """
+    """Return figure S5: force and motion, from the table of trials; J and K also from the skin chain."""
     found, lacking = _from_table(
         sources,
         ("B", draw_distribution, "max_force"),
@@ -75,9 +73,7 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7: displacement and force angle; panels D and E show comparison minus reference if the table has
-    both.
-    """
+    """Return figure S7: displacement and force angle; D and E compare with the reference surface where known."""
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
@@ -90,9 +86,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8: surface strain; panels B, D, E and F come from the skin-chain model, all others from the table
-    of trials.
-    """
+    """Return figure S8: surface strain; panels B, D, E and F from the skin chain, others from the table of trials."""
     chain = (
         SheetPanel(
             "B and D (skin chain)",
@@ -115,9 +109,7 @@ def surface_strain(sources: Sources) -> Sheet:
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Return figure S9: strain energy; panels A, B and C come from the skin-chain model, all others from the table of
-    trials.
-    """
+    """Return figure S9: strain energy; panels A, B and C from the skin chain, others from the table of trials."""
     chain = (
         SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),

@@ -42,8 +42,7 @@ class SheetPanel:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Figure of the supplement: name, title, panels, and sentences on printed panels that could not be drawn
-    (`left_out`).
+    """Figure of the supplement: name, title, panels, and sentences on printed panels left out.
 
     Panels of the figure have letters without gaps; its caption says which panel in print each is.
     """
@@ -91,9 +90,7 @@ class Sheet:
         return files.save(self.figure(files.width_mm or TWO_COLUMNS_MM), folder, self.name)
 
     def _rows(self, width_mm: float) -> tuple[list[list[SheetPanel]], int]:
-        """Arrange the panels in rows, and return the rows and the number of columns, each of which is at least 55 mm
-        wide.
-        """
+        """Arrange the panels in rows, and return the rows and the number of columns, each at least 55 mm wide."""
         columns = max(1, min(_COLUMNS, int(width_mm // _WIDE_MM), sum(panel.columns for panel in self.panels)))
         rows: list[list[SheetPanel]] = []
         for panel in self.panels:

@@ -19,9 +19,7 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the supplement's figures: tribometer trace, table of trials, design of the experiment, and
-    simulations.
-    """
+    """Inputs of the supplement's figures: tribometer trace, table of trials, experimental design, simulations."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -48,16 +46,14 @@ class Sources:
         return press_field(Press())
 
     def difference(self, metric: str) -> str:
-        """Return the column name of a metric's difference (comparison minus reference); the metric's own name if there
-        is no such column.
+        """Return the column with the difference of a metric from the reference, or the metric's own if it is
+        missing.
         """
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
-        """Return text that names missing input for a panel of the given metrics; an empty string if nothing is
-        missing.
-        """
+        """Return text that names the missing input of a panel with these metrics; empty if nothing is missing."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics
