@@ -88,12 +88,12 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
         curves = [_curve(result, "contact_displacement", name, k) for k, name in enumerate("xy")]
         label = VARIABLES["contact_displacement"].with_unit("mean displacement")
         return _draw(result, axes, against, curves, label, "Displacement in contact")
-    return _from_zero(_alone(result, axes, against, "global_displacement", "Median displacement"))
+    return _from_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the strain energy with a band of two standard deviations; arguments as for `contact_area`."""
-    return _alone(result, axes, against, "strain_energy", "Strain energy")
+    return _draw_one(result, axes, against, "strain_energy", "Strain energy")
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -107,7 +107,7 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the ratio of tangential to normal force, by default against time; arguments as for `contact_area`."""
-    return _alone(result, axes, against, "load_ratio", "Friction ratio")
+    return _draw_one(result, axes, against, "load_ratio", "Friction ratio")
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -117,7 +117,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
     """
     need(result, "slip_ratio", "gross_slip")
     x = abscissa(result, against)
-    drawn = _alone(result, axes, against, "slip_ratio", "Slip of what touches the gel")
+    drawn = _draw_one(result, axes, against, "slip_ratio", "Slip of what touches the gel")
     drawn.set_ylim(-0.03, 1.03)
     for k, where in enumerate(x.values[result["gross_slip"].values > 0]):
         drawn.axvline(where, color=YELLOW, linewidth=2, zorder=0, label=None if k else "gross slip")
@@ -188,7 +188,7 @@ def _from_zero(axes: Axes) -> Axes:
     return axes
 
 
-def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
+def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
     """Draw a figure with the curve of a single variable."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
@@ -210,7 +210,7 @@ def _draw(
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
             axes.fill_between(x.values, low, high, color=style["color"], alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_whole(x.values))
+    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_frame_limits(x.values))
     if not any(np.isfinite(curve.values).any() for curve in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         axes.set_yticks([])
@@ -235,7 +235,7 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     return " ".join(said)
 
 
-def _whole(x: Values) -> tuple[float, float]:
+def _frame_limits(x: Values) -> tuple[float, float]:
     """Return axis limits that include all frames, even those in which the curves have no value."""
     known = x[np.isfinite(x)]
     if not len(known):

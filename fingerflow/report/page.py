@@ -21,14 +21,14 @@ from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import views_of
 from fingerflow.plot.wording import followed, is_sensor, said
-from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.cautions import cautions, lost_points
+from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
+from fingerflow.report.key_frames import KeyFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
-from fingerflow.report.telling_frames import Telling, telling_frames
 from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.schema.scene import Scene
 
@@ -126,7 +126,7 @@ def write_report(
     scene: Scene | None,
     folder: Path,
     comparison: Sequence[Any] = (),
-    chain: BesideChain | None = None,
+    chain: ChainComparison | None = None,
     video: bool = True,
     overwrite: bool = False,
     figure_files: FigureFiles | None = None,
@@ -154,7 +154,7 @@ def write_report(
         keep_others(folder / output, is_marked, overwrite)
     if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
-    frames = telling_frames(result)
+    frames = key_frames(result)
     make = _Figures(result, folder / "figures", figure_files, overwrite)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames, chain)
@@ -200,13 +200,13 @@ def write_report(
 
 
 def _sections(
-    make: _Figures, scene: Scene | None, frames: Sequence[Telling], chain: BesideChain | None
+    make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame], chain: ChainComparison | None
 ) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
     most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
-        pictured = frames or [Telling(0, "first frame")]
+        pictured = frames or [KeyFrame(0, "first frame")]
         panels = [
             Panel(
                 one.why,
@@ -261,7 +261,7 @@ def _sections(
     return [one for one in sections if one is not None]
 
 
-def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
+def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first: int) -> Section | None:
     """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]

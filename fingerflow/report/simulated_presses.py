@@ -92,7 +92,7 @@ def simulate_presses(
 
 def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]:
     """Draw figures S8 B and D: maps of exx, eyy and exy (%) at full load, one row per friction, in equal colours."""
-    extents, strains = _turned(presses)
+    extents, strains = _axisymmetric_maps(presses)
     largest = 100 * float(np.nanmax(np.abs(strains)))
     axes: NDArray[Any] = part.subplots(2, 3, sharex=True, sharey=True)
     scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest, "interpolation": "nearest"}
@@ -116,7 +116,7 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]
 def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
     """Draw figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one colour scale."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharey=True)
-    extents, strains = _turned(presses)
+    extents, strains = _axisymmetric_maps(presses)
     densities = strain_energy_density(torch.from_numpy(strains)).numpy()
     scale = {"cmap": "viridis", "vmin": 0, "vmax": np.nanmax(densities), "interpolation": "nearest"}
     for one, extent, density, friction in zip(axes, extents, densities, (LOW, HIGH), strict=True):
@@ -221,7 +221,7 @@ def _density(radial: Values, hoop: Values) -> Values:
     return np.asarray(strain_energy_density(green_lagrange(gradient)))
 
 
-def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
+def _axisymmetric_maps(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
     """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, assuming axial symmetry.
 
     They are those at full load; NaN off contact.

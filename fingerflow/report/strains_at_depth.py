@@ -34,7 +34,7 @@ class Depth:
     strain_z: Values  # (T, K, Y) without unit, 2 mm deep, along the depth
 
 
-def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
+def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
     """Compute stress below the surface of simulated presses, and the viscoelastic strain that it causes."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
@@ -80,7 +80,7 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]
 def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
     """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line a friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
-    for k, style in enumerate(_lines(presses)):
+    for k, style in enumerate(_line_styles(presses)):
         x = 1e3 * presses.chain.position[-1, k, :, 0].numpy()
         for one, load in zip(axes, (presses.chain.pressure, presses.chain.traction), strict=True):
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
@@ -123,7 +123,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
     for one, values, name in zip(axes, depth.receptor_stress, names, strict=True):
-        for profile, style in zip(values, _lines(presses), strict=True):
+        for profile, style in zip(values, _line_styles(presses), strict=True):
             one.plot(depth.place, profile, **style)
         one.set_ylabel(name)
         one.grid(alpha=0.25)
@@ -155,7 +155,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     """Draw figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time."""
     middle = len(depth.place) // 2
     compression = -100 * depth.strain_z[:, :, middle]
-    for series, style in zip(compression.T, _lines(presses), strict=True):
+    for series, style in zip(compression.T, _line_styles(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
     axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2")
@@ -166,7 +166,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     )
 
 
-def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
+def _line_styles(presses: SimulatedPresses) -> list[dict[str, Any]]:
     """Return one line style per simulation, thinner for later ones, so that overlapping curves stay visible."""
     widths = np.linspace(2.6, 0.8, len(presses.friction))
     styles = line_styles(len(presses.friction), ordered=True)

@@ -91,11 +91,11 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
-    axes.set_title(_of_anova(test))
+    axes.set_title(_anova_text(test))
     return finished(
         axes,
         f"Share of trials in which the comparison was felt as more slippery, in {_BINS} bins of equally many trials at "
-        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_said_of(test)} "
+        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_anova_sentence(test)} "
         f"n = {int(known.sum())} trials.",
     )
 
@@ -129,7 +129,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
     size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
     axes.set_title(size)
-    return finished_beside(
+    return finish_with_side_legend(
         axes,
         label_of(metric),
         "Share of trials in which the comparison was felt as more slippery, by vibration amplitude, for trials in the "
@@ -167,12 +167,12 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
-    axes.set_title(_of_anova(test))
+    axes.set_title(_anova_text(test))
     over = f"{sentence(label)}, the median of the participant's trials."
     return finished(
         axes,
         f"Dots: trials, by vibration amplitude. {over if normalised else _defined(metric)} Line: median; bar: mean ± "
-        f"one standard deviation over trials. {_said_of(test)} n = {int(np.isfinite(values).sum())} trials.",
+        f"one standard deviation over trials. {_anova_sentence(test)} n = {int(np.isfinite(values).sum())} trials.",
     )
 
 
@@ -193,7 +193,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     axes.locator_params(axis="x", nbins=5)
     size = f"{found.trials} dots of {found.participants} participants"
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}")
-    return finished_beside(
+    return finish_with_side_legend(
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
@@ -261,7 +261,7 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
     return names, np.array([np.median(known) if known.size else np.nan for known in own])
 
 
-def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
+def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
     """Add grid and caption to axes as `finished` does, with the legend to the right of them."""
     finished(axes, caption)
     axes.legend(
@@ -322,7 +322,7 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
     return middle - reach, middle + reach
 
 
-def _of_anova(test: Anova) -> str:
+def _anova_text(test: Anova) -> str:
     """Return text on an analysis of variance: F, degrees of freedom, p-value, numbers of trials and participants."""
     if np.isnan(test.f):
         return "no F"
@@ -330,10 +330,10 @@ def _of_anova(test: Anova) -> str:
     return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
 
 
-def _said_of(test: Anova) -> str:
+def _anova_sentence(test: Anova) -> str:
     """Return a caption sentence that names an analysis of variance and states its outcome."""
     reason = f" ({test.reason})" if test.reason else ""
-    return f"ANOVA with participants as a random effect: {_of_anova(test)}{reason}."
+    return f"ANOVA with participants as a random effect: {_anova_text(test)}{reason}."
 
 
 def _p(value: float) -> str:

@@ -83,14 +83,14 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     paths = {str(path) for path in scene.files()[1:]}
     values = dict(flattened(settings))
     named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
-    inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
+    inputs = {name: describe_file(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
     # Files count by their content, not by their names.
     values |= {name: [one.size, one.digest] for name, one in inputs.items()}
     result = digest_of(values, code_of("result"))
     return Keys(result, digest_of(result, code_of("row")), inputs)
 
 
-def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
+def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
     """Return size, time and digest of a file or folder, taking `earlier.digest` if size and time are equal."""
     file = Path(str(path).partition("::")[0])
     try:

@@ -35,7 +35,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def over_workers(
+def run_on_workers(
     act: Callable[[Task], Result],
     tasks: Iterable[tuple[str, Task]],
     count: int,
@@ -100,8 +100,8 @@ def _go_through(
         return future
 
     try:
-        with _interrupt_once(), _Workers(client) as workers:
-            waiting = as_completed([submit(*one) for one in islice(tasks, workers.room())])
+        with _interrupt_on_sigterm(), _Workers(client) as workers:
+            waiting = as_completed([submit(*one) for one in islice(tasks, workers.capacity())])
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
@@ -110,7 +110,7 @@ def _go_through(
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
-                for one in islice(tasks, max(0, workers.room() - len(names))):
+                for one in islice(tasks, max(0, workers.capacity() - len(names))):
                     waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
@@ -140,7 +140,7 @@ class _Workers:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
 
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Return the number of tasks that may be queued on the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
@@ -201,7 +201,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
-                    _load_once()
+                    _preload_modules()
                     # A scheduler runs what it is sent: without a certificate, which only this process and its workers
                     # have, every user of this computer could run commands as the one who started the study.
                     security = Security.temporary()
@@ -230,7 +230,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 cluster.close(timeout=10)
 
 
-def _load_once() -> None:
+def _preload_modules() -> None:
     """Preload modules in the process from which workers are forked, so that each worker does not import them again."""
     from distributed.utils import get_mp_context
 
@@ -251,7 +251,7 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 
 @contextmanager
-def _interrupt_once() -> Iterator[None]:
+def _interrupt_on_sigterm() -> Iterator[None]:
     """Provide a context in which SIGTERM raises KeyboardInterrupt, as Ctrl-C does."""
 
     def stop(*_: object) -> None:

@@ -13,7 +13,7 @@ from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
 from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, finished_beside
+from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
@@ -84,7 +84,7 @@ def write_figures(
         ]
         drawn = {letter: metric for letter, metric in _CURVES.get(name, ()) if (curves["metric"] == metric).any()}
         panels += [_curve_panel(letter, curves, metric) for letter, metric in drawn.items()]
-        left_out = [said for said in sheet.left_out if not _about(said, drawn)]
+        left_out = [said for said in sheet.left_out if not _is_replaced(said, drawn)]
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
             written.append(Figured(name, "", "", tuple(left_out)))
@@ -120,7 +120,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
         f"{int(own.groupby('condition')['trials'].max().sum())} trials."
     )
     named = bool(axes.get_legend_handles_labels()[0])
-    return finished_beside(axes, AMPLITUDE, caption) if named else finished(axes, caption)
+    return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)
 
 
 def _named(condition: object) -> str:
@@ -131,7 +131,7 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
     return SheetPanel(letter, lambda part: draw_curves(part.subplots(), curves, metric))
 
 
-def _about(said: str, drawn: Mapping[str, str]) -> bool:
+def _is_replaced(said: str, drawn: Mapping[str, str]) -> bool:
     """Return True if every panel that a sentence reports as missing is drawn as a curve of the study instead."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -183,11 +183,11 @@ results = "results"           # where results, the table of trials and the pages
     return (
         head
         + "# To be filled in: what a scene file has, for all trials.\n"
-        + _under_scene(scene_text(forces="of-each-trial.csv"))
+        + _as_scene_tables(scene_text(forces="of-each-trial.csv"))
     )
 
 
-def _under_scene(text: str) -> str:
+def _as_scene_tables(text: str) -> str:
     """Rewrite a scene file's text as tables below [scene] in a manifest, without keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:

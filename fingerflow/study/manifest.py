@@ -235,7 +235,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
-        name="_".join(_safe(part) for part in parts),
+        name="_".join(_file_name(part) for part in parts),
         place=place,
         participant=row[PARTICIPANT],
         trial=trial,
@@ -266,7 +266,7 @@ def _value(cell: str) -> Any:
         return cell
 
 
-def _safe(text: str) -> str:
+def _file_name(text: str) -> str:
     """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 

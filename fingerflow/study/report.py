@@ -24,7 +24,7 @@ from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
-from fingerflow.study.cluster import over_workers
+from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.statistics import sample_of, statistics_of
@@ -69,7 +69,7 @@ def write_study_report(
     def of_error(name: str, error: BaseException) -> str:
         return f"{name}: {error}"
 
-    written = over_workers(
+    written = run_on_workers(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
     failed = [said for said in written if said]

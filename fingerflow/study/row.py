@@ -55,7 +55,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
     """
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
-    row |= trial.of_the_whole()
+    row |= trial.trial_numbers()
     for name, _, _, has_std, largest, _ in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
         if series is None:
@@ -85,7 +85,7 @@ class _Trial:
         touching = np.flatnonzero(np.nan_to_num(self._gross) > 0) if self._gross is not None else np.empty(0, int)
         self.onset = int(touching[0]) if len(touching) else None
         self.last = int(touching[-1]) if len(touching) else None
-        self.top = self._most()
+        self.top = self._peak_frame()
         self.series = self._series()
         self.moments = self._moments()
 
@@ -100,7 +100,7 @@ class _Trial:
         values[~self._usable] = np.nan
         return values
 
-    def _most(self) -> int | None:
+    def _peak_frame(self) -> int | None:
         """Return the frame of the largest normal force during contact; without forces, of the largest contact area."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
@@ -186,7 +186,7 @@ class _Trial:
         part = series[self.onset : self.last + 1]
         return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
 
-    def of_the_whole(self) -> dict[str, float]:
+    def trial_numbers(self) -> dict[str, float]:
         """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
         found: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, keys_of
-from fingerflow.study.cluster import Interrupted, over_workers, threads_each, workers_for
+from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
@@ -100,7 +100,7 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    together = _by_default(scheduler) if together is None else together
+    together = _default_group_size(scheduler) if together is None else together
     if together > 1 and scheduler is None:
         workers = workers or 1
     try:
@@ -143,11 +143,11 @@ def _run_groups(
             return []
         return [_of_error(error, name, manifest)]
 
-    for outcomes in over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
+    for outcomes in run_on_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
         yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
 
 
-def _by_default(scheduler: str | None) -> int:
+def _default_group_size(scheduler: str | None) -> int:
     """Return the default number of trials per group: several on a GPU of this computer, else 1."""
     import torch
 

@@ -23,7 +23,7 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
-from fingerflow.study.cache_keys import Keys, all_codes, code_of, keys_of, look_at
+from fingerflow.study.cache_keys import Keys, all_codes, code_of, describe_file, keys_of
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
@@ -76,7 +76,7 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
             f"the same version of fingerflow on both"
         )
-    _settle(job.threads)
+    _set_up_worker(job.threads)
     started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
     (entry,) = job.manifest.trials
     folder = job.manifest.results / entry.name
@@ -98,12 +98,12 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             # Overwrite: an existing file of this name may be damaged and not be recognised as a result.
             yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
             row, curves = measure(read_own(path, READ, DESCRIBED))
-        content = replace(look_at(path), path=path.name)
+        content = replace(describe_file(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
     except Exception as error:
-        unexpected = not isinstance(error, FingerflowError) and not _is_passing(error)
+        unexpected = not isinstance(error, FingerflowError) and not _is_transient(error)
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
-        trial = TrialRow(FAILED, reason, _is_passing(error), keys)
+        trial = TrialRow(FAILED, reason, _is_transient(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
     cpu_seconds = (time.process_time() - cpu) / together
     made = {
@@ -131,7 +131,7 @@ def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
     return stored.result is None or has_result(folder, stored)
 
 
-def _is_passing(error: BaseException) -> bool:
+def _is_transient(error: BaseException) -> bool:
     """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
@@ -148,7 +148,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 @cache
-def _settle(threads: int) -> None:
+def _set_up_worker(threads: int) -> None:
     """Set threads and memory allocator of a worker, and exempt loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.study.cache_keys import InputFile, Keys, look_at
+from fingerflow.study.cache_keys import InputFile, Keys, describe_file
 
 _DIGEST = "digest"  # of the rest of `row.json`: a number corrupted on disk must not get into the table
 MEASURED, FAILED = "measured", "failed"
@@ -52,7 +52,7 @@ def has_result(folder: Path, trial: TrialRow) -> bool:
     if trial.result is None or trial.content is None:
         return False
     try:
-        now = look_at(folder / trial.result, trial.content)
+        now = describe_file(folder / trial.result, trial.content)
     except FingerflowError:
         return False
     return (now.size, now.digest) == (trial.content.size, trial.content.digest)

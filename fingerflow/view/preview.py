@@ -37,7 +37,7 @@ class Preview:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class PredictedPoints:
     """Predicted points to track (N, 2) px in the topography view, the frame of their detection, and warnings."""
 
     points: NDArray[np.floating]
@@ -58,7 +58,9 @@ class Previewer:
             FingerflowError: an input is missing or invalid.
         """
         self.scene = scene
-        same = before if type(before) is type(self) and _opened(before.scene) == _opened(scene) else None
+        same = (
+            before if type(before) is type(self) and _input_settings(before.scene) == _input_settings(scene) else None
+        )
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
         # Forces are resampled once, as they do not depend on the views.
@@ -103,7 +105,7 @@ class Previewer:
             self._seen = {frame: Preview(found.real_contact_mask[0, 0], numbers_of(self._contact, frame))}
         return self._seen[frame]
 
-    def chosen(self) -> Chosen:
+    def chosen(self) -> PredictedPoints:
         """Return the points that `process` would detect in its first frame (in the last one for backward tracking).
 
         Raises:
@@ -121,7 +123,7 @@ class Previewer:
             batch.keep(self._contact, run_alone(self._contact.step(batch)))
             run_alone(tracking.step(batch))
         points = trial.results["position_px"][np.array([frame])][0]
-        return Chosen(points, frame, list(tracking.warnings))
+        return PredictedPoints(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
         """Return a run context of the pipeline with storage for the results of `stored` frames."""
@@ -149,6 +151,6 @@ def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
-def _opened(scene: Scene) -> Sequence[Any]:
+def _input_settings(scene: Scene) -> Sequence[Any]:
     """Return the scene settings that determine which input files are opened and how."""
     return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

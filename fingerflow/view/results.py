@@ -56,8 +56,8 @@ class Results:
             "warnings": json.loads(data.attrs["warnings"]),
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
-            "maps": self._listed(("frame", "point")) + self._listed(("frame", "triangle")),
-            "curves": self._listed(("frame",)),
+            "maps": self._menu_entries(("frame", "point")) + self._menu_entries(("frame", "triangle")),
+            "curves": self._menu_entries(("frame",)),
             "flags": {
                 str(name): str(values.attrs["flag_meanings"]).split()
                 for name, values in data.data_vars.items()
@@ -166,7 +166,7 @@ class Results:
             columns[f"{shown} ({self._units(shown)})"] = arrays["shown"]
         return _csv(columns)
 
-    def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
+    def _menu_entries(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
         """List the variables with the given dimensions for menus of the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():

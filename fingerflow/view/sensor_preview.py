@@ -14,7 +14,7 @@ from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX, Marke
 from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage, Seen
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
-from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of
+from fingerflow.view.preview import PredictedPoints, Preview, Previewer, numbers_of
 
 _LOOKS = 32  # frames from which the gel's rest state is estimated
 
@@ -62,7 +62,7 @@ class SensorPreviewer(Previewer):
             self._seen = {frame: Preview(mask, numbers_of(contact, place), markers)}
         return self._seen[frame]
 
-    def chosen(self) -> Chosen:
+    def chosen(self) -> PredictedPoints:
         """Raise FingerflowError: a soft sensor has printed markers, so no points are detected on skin."""
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 

@@ -47,7 +47,7 @@ def friction_and_area(sources: Sources) -> Sheet:
         ("D", _BY_CONDITION_NORMALISED, "gross_contact_area"),
         ("F", _BY_CONDITION_NORMALISED, "real_contact_area"),
     )
-    return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking), "friction and contact area")
+    return Sheet("S1", (*panels, *found), Sheet.missing_sentences(left_out + lacking), "friction and contact area")
 
 
 def kinematics(sources: Sources) -> Sheet:
@@ -68,7 +68,7 @@ def kinematics(sources: Sources) -> Sheet:
         SheetPanel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
         SheetPanel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
     )
-    left_out = Sheet.sentences([("A", _RECORDING), *lacking])
+    left_out = Sheet.missing_sentences([("A", _RECORDING), *lacking])
     return Sheet("S5", (*found, *chain), left_out, "force and motion of the trials")
 
 
@@ -79,10 +79,10 @@ def displacement_and_angle(sources: Sources) -> Sheet:
         ("A", draw_by_condition, "global_displacement"),
         ("B", draw_by_condition, "force_angle"),
         ("C", draw_share_against, "global_displacement"),
-        ("D", draw_share_against, sources.difference("force_angle")),
-        ("E", draw_share_against, sources.difference("real_contact_area")),
+        ("D", draw_share_against, sources.difference_column("force_angle")),
+        ("E", draw_share_against, sources.difference_column("real_contact_area")),
     )
-    return Sheet("S7", tuple(found), Sheet.sentences(lacking), "displacement and force angle")
+    return Sheet("S7", tuple(found), Sheet.missing_sentences(lacking), "displacement and force angle")
 
 
 def surface_strain(sources: Sources) -> Sheet:
@@ -101,10 +101,10 @@ def surface_strain(sources: Sources) -> Sheet:
     found, lacking = _from_table(
         sources,
         ("G", draw_correlation, "divergence", "strain"),
-        ("H", draw_share_against, sources.difference("strain")),
+        ("H", draw_share_against, sources.difference_column("strain")),
         ("I", draw_share_against, "strain_rate"),
     )
-    left_out = Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking])
+    left_out = Sheet.missing_sentences([("A", _RECORDING), ("C", _RECORDING), *lacking])
     return Sheet("S8", (*chain, *found), left_out, "strain of the surface")
 
 
@@ -118,9 +118,9 @@ def strain_energy(sources: Sources) -> Sheet:
     found, lacking = _from_table(
         sources,
         ("D", draw_correlation, "divergence", "strain_energy"),
-        ("E", draw_share_against, sources.difference("strain_energy")),
+        ("E", draw_share_against, sources.difference_column("strain_energy")),
     )
-    return Sheet("S9", (*chain, *found), Sheet.sentences(lacking), "strain energy")
+    return Sheet("S9", (*chain, *found), Sheet.missing_sentences(lacking), "strain energy")
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
@@ -133,7 +133,7 @@ def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetP
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     for letter, draw, *metrics in wanted:
-        if lacks := sources.lacks(*metrics):
+        if lacks := sources.missing_input(*metrics):
             left_out.append((letter, lacks))
         else:
             panels.append(SheetPanel.of_axes(letter, draw, sources.trials, *metrics))

@@ -53,7 +53,7 @@ class Sheet:
     title: str = ""
 
     @staticmethod
-    def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    def missing_sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
         """Return one sentence per missing input, naming the panels that need it, from pairs (panel letter, input)."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:

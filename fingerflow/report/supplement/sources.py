@@ -9,7 +9,7 @@ from fingerflow.models.friction_epochs import FrictionEpochs
 from fingerflow.models.observer import FORCED_CHOICE, Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
-from fingerflow.report.strains_at_depth import Depth, look_under
+from fingerflow.report.strains_at_depth import Depth, compute_strains_at_depth
 from fingerflow.report.trial_metrics import DIFFERENCE
 from fingerflow.report.tribometer import TribometerTrace
 from fingerflow.synthetic import Press
@@ -38,21 +38,21 @@ class Sources:
     @cached_property
     def depth(self) -> Depth:
         """Compute stress and strain below the skin surface in the simulated presses."""
-        return look_under(self.presses)
+        return compute_strains_at_depth(self.presses)
 
     @cached_property
     def field(self) -> PressField:
         """Compute the true displacement field of the simulated press."""
         return press_field(Press())
 
-    def difference(self, metric: str) -> str:
+    def difference_column(self, metric: str) -> str:
         """Return the column with the difference of a metric from the reference, or the metric's own if it is
         missing.
         """
         column = metric + DIFFERENCE
-        return metric if self.lacks(column) else column
+        return metric if self.missing_input(column) else column
 
-    def lacks(self, *metrics: str) -> str:
+    def missing_input(self, *metrics: str) -> str:
         """Return text that names the missing input of a panel with these metrics; empty if nothing is missing."""
         if self.trials is None:
             return NO_TRIALS

@@ -29,7 +29,7 @@ _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larg
 
 
 @dataclass(frozen=True)
-class BesideChain:
+class ChainComparison:
     """Contact area and divergence at T forces: measured (T,), and of skin chains with K frictions (K, T).
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
@@ -64,7 +64,7 @@ class BesideChain:
         ]
 
 
-def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
+def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> ChainComparison:
     """Simulate a skin chain of fitted stiffness under the measured normal force, once for each friction coefficient.
 
     Raises:
@@ -101,7 +101,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
     def of(values: torch.Tensor, factor: float) -> Values:
         return np.asarray(factor * values.T.numpy() * shown)
 
-    return BesideChain(
+    return ChainComparison(
         force=force[known],
         area=area[known] * shown,
         median=_MEDIAN.shown_values(result["median_divergence"].values[known]) * shown,
@@ -130,7 +130,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
     return found
 
 
-def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
+def draw(beside: ChainComparison, width_mm: float = TWO_COLUMNS_MM) -> Figure:
     """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
