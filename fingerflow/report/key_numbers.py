@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.plot.rounding import with_uncertainty
-from fingerflow.report.key_frames import KeyFrame
+from fingerflow.report.key_frames import ReportFrame
 from fingerflow.schema.variables import VARIABLES
 
 _WINDOW = 11  # frames of the parabola fit
@@ -41,7 +41,7 @@ class Line:
     values: tuple[str, ...]
 
 
-def key_numbers(result: xr.Dataset, frames: Sequence[KeyFrame]) -> list[Line]:
+def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]:
     """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of

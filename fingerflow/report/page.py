@@ -24,7 +24,7 @@ from fingerflow.plot.wording import followed, is_sensor, said
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
-from fingerflow.report.key_frames import KeyFrame, key_frames
+from fingerflow.report.key_frames import ReportFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
@@ -200,13 +200,13 @@ def write_report(
 
 
 def _sections(
-    make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame], chain: ChainComparison | None
+    make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame], chain: ChainComparison | None
 ) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
     most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
-        pictured = frames or [KeyFrame(0, "first frame")]
+        pictured = frames or [ReportFrame(0, "first frame")]
         panels = [
             Panel(
                 one.why,
@@ -261,7 +261,7 @@ def _sections(
     return [one for one in sections if one is not None]
 
 
-def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first: int) -> Section | None:
+def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], first: int) -> Section | None:
     """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]

@@ -20,9 +20,9 @@ Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
 #: Messages for missing keys that need more than "is needed".
 _NEEDED = {
-    "background.frames": "is needed: frames of the empty glass",
-    "calibration.mm_per_px": "is needed: calibrate from pictures, name a calibration file, or type the scale",
-    "forces.normal": "is needed: the column of the normal force in the file",
+    "background.frames": "is needed: choose a recording of the empty glass",
+    "calibration.mm_per_px": "is needed: calibrate from pictures, choose a calibration file, or enter the scale",
+    "forces.normal": "is needed: choose the column of the normal force",
 }
 
 
@@ -121,7 +121,7 @@ class Draft:
             try:
                 place[last] = value
             except TOMLKitError:
-                raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no value of TOML; correct it") from None
+                raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no valid TOML value; correct it") from None
         elif last in place:
             del place[last]
             for outer, name in reversed(around):
@@ -157,7 +157,7 @@ class Draft:
         scene = scene_of_text(text, path)
         spare(path, *scene.files()[1:])
         if path.exists() and not replace and not (path == self.path and _read(path) == self._stored):
-            raise NeedsLeaveError(f"{path} exists, and its content is not what this page has read or written")
+            raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
         write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
         self.path, self._stored = path, text
         return path
