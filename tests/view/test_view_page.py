@@ -95,7 +95,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         # Frames, before anything else is known.
         page.wait_for_selector("#problems")
         assert "background.frames" in text_of(page, "#problems")
-        assert "Cannot process: 2 problems in " in text_of(page, "#setup-status")
+        assert "Cannot process: 3 problems in Background, Calibration, Recording" in text_of(page, "#setup-status")
         assert page.is_disabled("#process")
         show_frame(page, 9)
         assert "frame 9 of 0–11" in text_of(page, "#where")

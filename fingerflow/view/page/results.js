@@ -54,7 +54,7 @@ export class ResultsView {
       this.facts.cells.length ? toggle("regions", this.layer.regions, on => this.set("regions", on)) : null,
       this.facts.points ? make("button", { id: "region", onclick: () => this.startRegion() }, "Draw region") : null,
     ].filter(Boolean));
-    $("hint").textContent = this.facts.points ? "Click a point for its time series; scroll to zoom, double-click to show all." : "";
+    $("hint").textContent = this.facts.points ? "Click a point for its curve; scroll to zoom, double-click to see all." : "";
     $("save-csv").hidden = !this.facts.points;
     $("chart-csv").hidden = false;
     this.panel();

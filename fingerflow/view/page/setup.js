@@ -41,7 +41,7 @@ export class Setup {
       make("button", { id: "region", title: "Limits contact (in the contact view) or tracked points (in the topography view) to a region",
         onclick: () => this.startRegion() }, "Draw region"),
       make("button", { id: "no-region", hidden: true, onclick: () => this.noRegions() }, "Remove regions"));
-    $("hint").textContent = "Drag a view or its edges; scroll to zoom, double-click to show all.";
+    $("hint").textContent = "Drag a view or its edges; scroll to zoom, double-click to see all.";
     $("save-csv").hidden = true;
     this.panel();
     app.chart.show({ label: "", values: [] }, []);
