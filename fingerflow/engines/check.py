@@ -110,7 +110,7 @@ def _sentence(engine: Engine, found: str) -> str:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, as numbers by the keys of `TOLERANCES`."""
+    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`."""
     light = engine.light(frame.empty.astype(np.float32), None)
     contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
     templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)

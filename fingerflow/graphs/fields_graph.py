@@ -21,7 +21,7 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
+    """Points that moved into the contact (advected), with displacement gradients since each point's entry.
 
     A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.

@@ -21,7 +21,7 @@ class SearchGraph(nn.Module):
     def forward(
         self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Search a view for points (B, N, 2) px of the key frame, around predicted positions (B, N, 2) px.
+        """Search a view for key-frame points (B, N, 2) px around predicted positions, and verify each match.
 
         Views are (B, 1, H, W).
 

@@ -153,7 +153,7 @@ def _by_layout(array: NDArray[Any]) -> int:
 
 
 def _layout_is_known() -> bool:
-    """Check that NumPy arrays have the C structure that `_by_layout` assumes."""
+    """Return whether NumPy arrays have the C structure that `_by_layout` assumes."""
     example = np.zeros(3)
     return sys.implementation.name == "cpython" and all(
         _by_layout(one) == _by_interface(one) for one in (example, example[1:])

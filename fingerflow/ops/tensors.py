@@ -17,7 +17,7 @@ def components_first(points: Tensor) -> Tensor:
 
 
 def finite(values: Tensor) -> Tensor:
-    """Test for finite values like `torch.isfinite`, but with two operations instead of four."""
+    """Return a mask of the finite values, as `torch.isfinite`, but with two operations instead of four."""
     return values.abs() < math.inf
 
 
@@ -53,7 +53,7 @@ def bytes_of(mask: Tensor) -> Tensor:
 
 
 def constant_like(constant: Tensor, like: Tensor) -> Tensor:
-    """Return a constant on the device and with the dtype of another tensor; a device keeps its copy between calls."""
+    """Return a constant on the device and with the dtype of another tensor; copies on a device are cached."""
     if like.device == constant.device or torch.compiler.is_compiling():
         return constant.to(like)
     return _copy_on(constant, like.device, like.dtype)

@@ -109,7 +109,7 @@ class InOrder(Generic[T]):
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """Mark an item as computed, and end all computed items that no unfinished earlier item precedes."""
+        """Mark an item as computed, and end each computed item whose predecessors have all ended."""
         with self._changed:
             self._done[number] = piece
             if self._ending:

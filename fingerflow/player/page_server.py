@@ -185,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Return True if a request is answered here: with a refusal, or with the cookie for the printed address."""
+        """Return True if the request is answered here: it is refused, or redirected to set the page's cookie."""
         self.server.asking.pop(self.connection, None)
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
@@ -193,9 +193,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
             # The body is not parsed: on a connection that stays open it would be taken for the next request.
             self.answer(400, "text/plain", b"requests have no body here")
-            self._let_body_pass()
+            self._discard_body()
             return True
-        if len(hosts) != 1 or not self._is_own(_name(hosts[0])):
+        if len(hosts) != 1 or not self._means_this_computer(_name(hosts[0])):
             self.answer(421, "text/plain", b"this address is not served under that name")
             return True
         if origin is not None and origin.lower() != f"http://{hosts[0]}".lower():
@@ -225,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing, because the page sends fifteen requests a second."""
 
-    def _let_body_pass(self) -> None:
+    def _discard_body(self) -> None:
         """Read and discard the rest of a request's body, as closing the connection earlier would lose the response."""
         self.connection.shutdown(socket.SHUT_WR)
         self.connection.settimeout(_LINGER)
@@ -233,7 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
         while taken < _MOST_BODY and (part := self.connection.recv(65536)):
             taken += len(part)
 
-    def _is_own(self, name: str) -> bool:
+    def _means_this_computer(self, name: str) -> bool:
         """Return whether a host name means this computer and can mean no other.
 
         Any other name may be a DNS rebinding attack.

@@ -8,7 +8,7 @@ from urllib.parse import parse_qs
 
 
 class PageToken:
-    """Secret of one run of a server.
+    """Secret token that admits a browser to the page, valid for one run of a server.
 
     Attributes:
         text: the token.

@@ -15,11 +15,10 @@ from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, s
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
 from fingerflow.plot.rounding import with_interval, with_uncertainty
 from fingerflow.plot.wording import definition_of, sentence
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 
 Values = NDArray[np.float64]
 ANSWERED = "p(more slippery)"
-DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
 _HATCHES = ("", "////", "....")  # of bars, which are told apart without colour

@@ -55,7 +55,7 @@ SATURATED_SHARE = 0.5  # of the blocks at the highest grey level; a frame above 
 FRAME_CHECK = (
     Variable(
         "frame_status", FRAME, "1", "whether a frame is a picture of the trial; where it is not, results are NaN",
-        "u1", equation="by light, saturation and distance of each frame from those before and after",
+        "u1", equation="by light, saturation, copies and distance of each frame from those before and after",
         flags=FRAME_STATUS,
     ),
 )

@@ -4,6 +4,7 @@ import difflib
 import os
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,7 @@ from fingerflow.study.dotted_keys import nested
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
     "recording", "forces", "participant", "trial", "condition", "answer",
 )  # fmt: skip
+REFERENCE = "reference"  # column: trial of the same participant that a trial was compared with
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
@@ -86,7 +88,8 @@ def load_manifest(path: str | Path) -> Manifest:
         [scene.views.contact]             # and so on: what a scene file has, for all trials
         ...
 
-    A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial.
+    A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial; a column
+    `reference` names the trial of the same participant that a trial was compared with.
 
     Raises FingerflowError for a file that is missing or not TOML, an unknown key or column, an incomplete row
     or a duplicate one; the message names the row.
@@ -212,6 +215,14 @@ def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple
             )
         names[entry.name] = place
         found.append(entry)
+    trials = Counter((entry.participant, entry.trial) for entry in found)
+    for entry in found:
+        named = entry.others.get(REFERENCE)
+        if named and (count := trials[entry.participant, named]) != 1:
+            wrong.append(
+                f"{entry.place}: reference is {named!r}, and {count} trials of participant {entry.participant} have "
+                f"that number; name one"
+            )
     if wrong:
         more = len(wrong) - _MOST_SHOWN
         raise FingerflowError(

@@ -11,8 +11,8 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.spreadsheet_cell import quoted_cell
-from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
-from fingerflow.study.manifest import Manifest, TrialEntry, relative
+from fingerflow.schema.trial_columns import DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS
+from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, relative
 from fingerflow.study.row import CURVES, FORCE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
@@ -53,11 +53,12 @@ def write_tables(manifest: Manifest) -> Tables:
     frame = pd.DataFrame(rows_of(manifest, stored))
     for name, values in normalised(frame).items():
         frame[name] = values
+    frame = pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
     paths = Tables(
         *(manifest.results / name for name in ("trials.parquet", "trials.csv", "variables.csv", "curves.csv"))
     )
     table = pa.Table.from_pandas(frame, preserve_index=False)
-    described = NUMBERS | FACTS
+    described = NUMBERS | FACTS | DIFFERENCES
     fields = [
         one.with_metadata({"units": described[one.name].units, "long_name": described[one.name].long_name})
         if one.name in described
@@ -113,6 +114,20 @@ def normalised(frame: Any) -> dict[str, Any]:
         median = frame.groupby("participant")[name].transform("median")
         found[f"{name}_normalised"] = frame[name] / median.where(median > 0)
     return found
+
+
+def differences(frame: Any) -> dict[str, Any]:
+    """Return the columns `DIFFERENCES`: values of a trial less those of its reference; {} if no trial names one.
+
+    It is NaN for trials without reference, as the references themselves.
+    """
+    if REFERENCE not in frame or not frame[REFERENCE].any():
+        return {}
+    # A reference is the only trial of its number; no trial has an empty one, so trials without a reference find none.
+    own = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
+    places = list(zip(frame["participant"], frame[REFERENCE], strict=True))
+    numbers = [name.removesuffix(DIFFERENCE) for name in DIFFERENCES]
+    return {f"{name}{DIFFERENCE}": frame[name] - own[name].reindex(places).to_numpy() for name in numbers}
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:

@@ -62,7 +62,7 @@ def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:
-    """Sum values over `pieces` parts of an axis; return the sums and the number of values in each part.
+    """Split an axis into `pieces` parts; return the sum of the values in each part, and the number of values in each.
 
     Neighbouring pieces share a value where the axis is no multiple of their number.
     """

@@ -29,7 +29,7 @@ class SlipState(NamedTuple):
 
 
 class SlipFlag:
-    """Slip flag of a stream, raised when the rim of the contact has moved past its middle.
+    """Slip flag of a stream, raised when the rim of the contact has moved further along the glass than its middle.
 
     Displacement counts from the position of each point when its contact began. Under a tangential force the rim slips
     first, everywhere in the direction of the force: the displacement is an even function of the position in the

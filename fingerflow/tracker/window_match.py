@@ -31,7 +31,7 @@ class Centred(NamedTuple):
 
     @classmethod
     def of(cls, windows: Array) -> Centred:
-        """Subtract from each window (N, m) its mean grey level, and compute the variance."""
+        """Return windows (N, m) of grey levels minus their mean, with the variance of each window."""
         part = windows - windows.mean(1, keepdims=True)
         return cls(part, np.square(part).mean(1))
 

@@ -110,7 +110,7 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """Join the nodes of a graph to components: return, for each node, the smallest node of the same component.
+    """Return, for each node of a graph, the smallest node of the same connected component.
 
     Edge k joins nodes `upper[k]` and `lower[k]`.
     """

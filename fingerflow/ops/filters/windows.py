@@ -69,7 +69,7 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """Convolve the patch of each point along `dim` with the weights (P, taps) of that point, to ``size`` samples."""
+    """Filter the patch of each point along `dim` with the weights (P, taps) of that point; return ``size`` samples."""
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):
@@ -152,7 +152,7 @@ def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """Gather the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
+    """Return the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
     if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
     # A shifted view needs no new index; `take` and indexing need four times as long.

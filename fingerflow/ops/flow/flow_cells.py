@@ -6,7 +6,7 @@ component is thus enough, and everything except the images costs a fourth. Error
 pixel: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with windows of 3 px.
 
 At pixels the flow is its best-fitting plane, plus the remainder interpolated bilinearly between the centres of known
-cells. The trend ("course") of the flow, the departure from which the smoothness term penalises, lies on cells too.
+cells. The trend of the flow, the departure from which the smoothness term penalises, lies on cells too.
 """
 
 import math
@@ -24,7 +24,10 @@ _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """Planes height + x slope_x + y slope_y fitted to the two components of a flow, (B, 2, ., .) each."""
+    """Planes fitted to the two components of a flow: the value at (x, y) is height + x slope_x + y slope_y.
+
+    Each attribute is (B, 2, ., .).
+    """
 
     height: Tensor
     slope_x: Tensor
@@ -114,7 +117,7 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the moments (B, 12, h, w) from which planes are fitted to a field (B, 2, h, w).
+    """Return the moments (B, 12, h, w) to which `planes` fits planes: weights and values, times powers of x and y.
 
     Both the weights (B, 1, h, w) and the weighted field enter.
     """
@@ -176,7 +179,7 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
 COURSE_WINDOW = window(9)  # cells of 4 px
 
 
-def course(flow: Tensor, known: Tensor) -> Tensor:
+def trend(flow: Tensor, known: Tensor) -> Tensor:
     """Return the trend (B, 2, h, w) of a flow on cells: the smooth part that the smoothness term does not penalise.
 
     `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted

@@ -152,7 +152,7 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
     """Return the flat index (P,) of the highest score in each square map; of nearly equal ones the most central.
 
-    Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
+    Scores that differ from the highest by at most the fraction `SEARCH_TIE` count as equal to it.
     """
     highest = score.amax(1, keepdim=True)
     number = torch.arange(span * span, device=score.device)

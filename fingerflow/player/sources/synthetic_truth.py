@@ -54,7 +54,7 @@ class Pose(NamedTuple):
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Return the semi-axes, px, of the visible contact: `semi`, scaled so that the shorter one loses half a pixel.
+        """Return the semi-axes of the visible contact, px: `semi` scaled so that the shorter one is half a pixel less.
 
         At that border the contact has lost half of its light.
         """

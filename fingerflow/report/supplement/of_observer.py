@@ -27,7 +27,8 @@ from fingerflow.report.trial_metrics import (
     participant_medians,
 )
 
-_OBSERVED = (
+#: Metrics of figure S11.
+OBSERVED = (
     "divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate",
     "real_contact_area",
 )  # fmt: skip
@@ -37,10 +38,10 @@ _FEWEST_AMPLITUDES = 3
 def ideal_observer(sources: Sources) -> Sheet:
     """Return figure S11: the ideal observer for each metric of the paper, from trials without gross slip."""
     trials = sources.trials
-    metrics = [name for name in _OBSERVED if not sources.missing_input(name)]
-    missing = [name for name in _OBSERVED if name not in metrics]
+    metrics = [name for name in OBSERVED if not sources.missing_input(name)]
+    missing = [name for name in OBSERVED if name not in metrics]
     if trials is None or not metrics:
-        return Sheet("S11", (), (f"needs {NO_TRIALS} with {', '.join(_OBSERVED)}",))
+        return Sheet("S11", (), (f"needs {NO_TRIALS} with {', '.join(OBSERVED)}",))
     if "global_displacement" in trials.metrics:
         trials = leave_out_moved(trials)
     found = {name.replace("_", " "): one for name, one in observe(trials, metrics).items()}

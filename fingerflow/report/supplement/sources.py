@@ -10,8 +10,8 @@ from fingerflow.models.observer import FORCED_CHOICE, Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
 from fingerflow.report.strains_at_depth import Depth, compute_strains_at_depth
-from fingerflow.report.trial_metrics import DIFFERENCE
 from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.schema.trial_columns import DIFFERENCE
 from fingerflow.synthetic import Press
 
 NO_TRIALS = "a table of trials (--trials)"
