@@ -20,7 +20,7 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True)
 class Abscissa:
-    """Horizontal axis of curves: name of its variable, values (F,) in F frames, and label."""
+    """Horizontal axis of a plot of F frames: variable name, values (F,) and label."""
 
     name: str
     values: NDArray[np.float64]

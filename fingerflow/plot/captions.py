@@ -9,7 +9,7 @@ _CAPTIONS: WeakKeyDictionary[Artist, str] = WeakKeyDictionary()
 
 
 def describe(artist: Artist, caption: str) -> None:
-    """Attach a caption to axes or to a figure: what is drawn, what bands mean, and the number of observations."""
+    """Attach a caption to axes or a figure, for the caption file and the report."""
     _CAPTIONS[artist] = caption
 
 

@@ -1,4 +1,4 @@
-"""Cautions for the reader of a report: sentences on what limits the use of a result."""
+"""Sentences that warn the reader of a report about limits of a result."""
 
 import json
 
@@ -89,7 +89,7 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
 
 def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Return counts of points without a position in the last usable frame, by reason, the most frequent first."""
+    """Return the number of points without a position in the last usable frame, by reason, most frequent first."""
     if "status" not in result or not result["status"].size:
         return []
     status = result["status"]

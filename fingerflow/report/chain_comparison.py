@@ -131,7 +131,7 @@ def inner_divergence(result: xr.Dataset) -> Values:
 
 
 def draw(beside: ChainComparison, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
+    """Draw area, median divergence and inner mean divergence against normal force, as measured and as simulated."""
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
         (_MEDIAN.axis_label, beside.median, beside.chain_median),

@@ -1,4 +1,4 @@
-"""Figure S4 of Willemet et al. 2021: a half-sphere of skin pressed flat, its arc, its contact and its compression."""
+"""Figure S4 of Willemet et al. 2021: geometry and compression of a half-sphere of skin pressed flat."""
 
 import numpy as np
 import torch

@@ -27,7 +27,7 @@ _UNIT = re.compile(r"\(([^()]*)\)$")
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """Return a figure as an <svg> element that fills the width of its container; text stays text.
+    """Return a figure as an <svg> element of its container's width; text is kept as text, not as outlines.
 
     Args:
         figure: figure to draw.

@@ -15,7 +15,7 @@ _LOADED = 0.2  # share of the largest normal force above which a load ratio is u
 
 
 class ReportFrame(NamedTuple):
-    """Key frame of a trial: index in the result, and reason for the selection."""
+    """Frame that a report shows in detail: index in the result, and reason for the selection."""
 
     frame: int
     why: str

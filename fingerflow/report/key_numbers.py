@@ -1,4 +1,4 @@
-"""Table of a trial's main quantities, with uncertainty, at the key frames of the trial."""
+"""Table of a trial's main quantities, with uncertainty, at the frames that its report shows in detail."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Line:
 
 
 def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]:
-    """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
+    """Return table rows (force, areas, divergence, curl, displacement, energy) with ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
     energy the uncertainty of the border. For areas it is the scatter from frame to frame (`scatter`).

@@ -33,7 +33,7 @@ class SlipTrial:
 
     @classmethod
     def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
-        """Return the trial stored in a data set that contains `stuck_ratio`."""
+        """Return the trial stored in a result data set with the variable `stuck_ratio`."""
         stored = result["stuck_ratio"].attrs
         verdict = TrialVerdict(**_numbers(stored["verdict"]))
         fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None

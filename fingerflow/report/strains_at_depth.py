@@ -78,7 +78,7 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]
 
 
 def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line a friction."""
+    """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     for k, style in enumerate(_line_styles(presses)):
         x = 1e3 * presses.chain.position[-1, k, :, 0].numpy()
@@ -119,7 +119,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
 
 
 def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
-    """Draw figure S10 D: the three stresses (kPa) 2 mm deep at full load, one line a friction."""
+    """Draw figure S10 D: the three stress components (kPa) 2 mm deep at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
     for one, values, name in zip(axes, depth.receptor_stress, names, strict=True):

@@ -44,7 +44,7 @@ METRICS = (
 
 
 def label_of(metric: str) -> str:
-    """Return the axis label of a metric; a name with `_difference` means comparison less reference."""
+    """Return the axis label of a metric; `_difference` in its name stands for comparison minus reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
@@ -223,7 +223,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 
 def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
-    """Draw figure S13 C: median curl against median divergence of each trial, one colour a participant."""
+    """Draw figure S13 C: median curl against median divergence of each trial, coloured by participant."""
     found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
     low, high = found.interval
     axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")

@@ -1,4 +1,4 @@
-"""Reader of a table of trials from a CSV file: one row a trial, column names in the heading."""
+"""Reader of a table of trials from a CSV file with one row per trial and column names in the first line."""
 
 import math
 from os import PathLike

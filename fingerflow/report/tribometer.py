@@ -34,7 +34,7 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period of vibration, in six bins of equal amplitude range.
+        """Return friction coefficients of the half periods in which vibration amplitude rises, in six amplitude bins.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
@@ -51,7 +51,7 @@ class TribometerTrace:
 def read_tribometer(
     path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> TribometerTrace:
-    """Read a tribometer trace from a file of any format of `open_forces`.
+    """Read a tribometer trace from a force file (CSV, HDF5, .mat or .tdms).
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
@@ -83,7 +83,7 @@ def read_tribometer(
 
 
 def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpochs) -> Sequence[Axes]:
-    """Draw figure S1 A into four axes: forces, T/N, position and vibration envelope, with the epochs shaded."""
+    """Draw figure S1 A into four axes: forces, friction ratio, position and vibration amplitude over time."""
     step = max(1, len(trace.time) // _MOST_POINTS)
     time, normal, tangential, position, amplitude = (
         signal[::step].numpy()

@@ -40,7 +40,7 @@ class FoundFiles(NamedTuple):
 
 
 def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
-    """Write `study.toml` and `trials.csv` for the recordings found in a folder.
+    """Find the recordings in a folder, and write a manifest `study.toml` and a table `trials.csv` for them.
 
     If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
     columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared

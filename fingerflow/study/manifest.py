@@ -74,7 +74,7 @@ class Manifest:
 
 
 def load_manifest(path: str | Path) -> Manifest:
-    """Read `study.toml` and its table of trials, a CSV file or a pattern over file names.
+    """Read a manifest `study.toml` and its trials, listed in a CSV file or found by a file-name pattern.
 
     ::
 

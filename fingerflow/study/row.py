@@ -45,7 +45,7 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Compute the row of a trial (`columns.NUMBERS` and `FACTS`) from its result, and its curves on `FORCE_GRID`.
+    """Return the table row of a trial (`columns.NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
 
     None means unknown: not measured, its moment did not occur, or a frame there is not usable.
 

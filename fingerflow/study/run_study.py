@@ -50,7 +50,7 @@ class Summary:
 
 
 def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = False) -> list[Planned]:
-    """Return the trials without a result for their current inputs, settings and code, in the order of the manifest.
+    """Return the trials that lack a result for their current inputs, settings and code, in manifest order.
 
     Args:
         manifest: the study.

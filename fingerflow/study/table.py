@@ -26,7 +26,7 @@ _MOST_MISSING = 0.5  # of a condition's trials: if fewer reach a force, their me
 
 @dataclass(frozen=True)
 class Tables:
-    """Paths of the files written by `write_tables`."""
+    """Paths of the four files written by `write_tables`."""
 
     trials: Path
     csv: Path
@@ -35,7 +35,7 @@ class Tables:
 
 
 def write_tables(manifest: Manifest) -> Tables:
-    """Write `trials.parquet` and `trials.csv` (a row per trial), `variables.csv` (column definitions) and `curves.csv`.
+    """Write a study's `trials.parquet` and `trials.csv` (row per trial), `variables.csv` and `curves.csv`.
 
     Every trial of the manifest has a row; a failed one has its reason and no numbers, one not yet run has neither.
 
@@ -108,7 +108,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return contact areas divided by the median of their participant; NaN if that median is 0 or unknown."""
+    """Return the contact areas of all trials, each divided by its participant's median; NaN where unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -117,7 +117,7 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def differences(frame: Any) -> dict[str, Any]:
-    """Return the columns `DIFFERENCES`: values of a trial less those of its reference; {} if no trial names one.
+    """Return the columns `DIFFERENCES`: value of a trial minus that of its reference; {} without references.
 
     It is NaN for trials without reference, as the references themselves.
     """

@@ -18,7 +18,7 @@ Part = Literal["everything", "changed", "row"]
 
 @dataclass(frozen=True)
 class TrialRow:
-    """Record of a trial that was run, as stored in `row.json`.
+    """Stored outcome of a trial (file `row.json`): status, cache keys, numbers and curves.
 
     Attributes:
         status: "measured" or "failed".

@@ -36,7 +36,7 @@ class Command:
         self._listener.start()
 
     def state(self) -> dict[str, Any]:
-        """Return status, progress and last lines of output of the run, for the page."""
+        """Return status, progress and last output lines of the command."""
         code = self._process.poll()
         if code is not None:
             self._listener.join(5)
@@ -55,7 +55,7 @@ class Command:
         }
 
     def end(self) -> None:
-        """Terminate the subprocess if it still runs."""
+        """Terminate the subprocess if it is still running."""
         if self._process.poll() is None:
             self._process.terminate()
             self._process.wait(20)

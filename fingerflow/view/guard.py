@@ -33,7 +33,7 @@ class Guard:
         self.token = self._token.text
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer refused requests; pass all others to the application. Only HTTP is served."""
+        """Refuse a request that fails the checks, and pass any other to the application; only HTTP is served."""
         if scope["type"] != "http":
             return
         refused = self._refused(Headers(scope=scope), scope)

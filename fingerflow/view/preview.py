@@ -89,7 +89,7 @@ class Previewer:
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Return the forces at the selected frames, by the names of the result's variables."""
+        """Return the forces (F,) at the selected frames by name of the result variable."""
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,

@@ -96,7 +96,7 @@ class Results:
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
-        """Return the indices (M, 3) of the points at the corners of the triangles."""
+        """Return the point indices (M, 3) of the corners of M triangles."""
         return np.asarray(self.data["triangles"].values, dtype=np.int32)
 
     def course(self, key: str) -> Values:
@@ -225,7 +225,7 @@ class Results:
 
 
 def median_of(values: Values) -> Values:
-    """Return the median (frames,) over points of a history (frames, points), ignoring NaN."""
+    """Return the median (F,) over points of time series (F, K), ignoring NaN."""
     # With it comes torch: not before the first picture.
     from fingerflow.pipeline.stages.preparation.series import nanmedian
 

@@ -313,7 +313,7 @@ class Session:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series of the result for several keys, as packed bytes."""
+        """Return time series of the result for several variables, as packed bytes."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
@@ -330,7 +330,7 @@ class Session:
             return packed({"key": key, "points": points}, arrays)
 
     def table(self, asked: Mapping[str, Any]) -> str:
-        """Return a CSV table of the shown time series, or of the shown frame."""
+        """Return CSV text of the displayed time series, or of the displayed frame."""
         with self._lock:
             result = self._opened_result()
             if asked["of"] == "frame":
