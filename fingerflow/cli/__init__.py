@@ -8,7 +8,17 @@ import threading
 import typer
 
 # Their commands add themselves.
-from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401
+from fingerflow.cli import (  # noqa: F401
+    bundles,
+    preparation,
+    processing,
+    reporting,
+    reproduction,
+    study,
+    synthetic_recordings,
+    tables,
+    viewing,
+)
 from fingerflow.cli.app import INTERRUPTED
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError

@@ -62,9 +62,10 @@ def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
     rows, shared = _of_scenes(folder, scenes) if scenes else _of_recordings(folder, files)
     if answers is not None:
-        for row, known in zip(rows, matching(rows, answers), strict=True):
+        found = matching(rows, answers)
+        for row, known in zip(rows, found, strict=True):
             row.update({name: value for name, value in known.items() if value})
-        if not any(row.get(ANSWER) for row in rows):
+        if not any(found):
             example = read_rows(answers)[0]
             raise FingerflowError(
                 f"{answers}: none of its trials is one of {folder}, such as participant {rows[0].get(PARTICIPANT)!r}, "

@@ -20,6 +20,7 @@ from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
+from fingerflow.synthetic.linear_slip import LinearSlip
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.press import Press
@@ -31,7 +32,10 @@ from fingerflow.synthetic.texture import RidgeTexture
 #: Classes that may occur in the settings of a scene.
 KINDS = {
     kind.__name__: kind
-    for kind in (Press, ChainPress, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
+    for kind in (
+        *(Press, ChainPress, Slide, PartialSlip, LinearSlip, Camera, Bump),
+        *(RidgeTexture, FingerprintTexture, PictureTexture),
+    )
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
