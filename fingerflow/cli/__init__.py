@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
-    """Repeat a Ctrl-C in the main thread if it occurred in a callback, where Python discards exceptions."""
+    """Raise KeyboardInterrupt again in the main thread after Python discarded it in a callback."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
         # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
         # which Windows does not have.

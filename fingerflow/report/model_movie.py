@@ -1,4 +1,4 @@
-"""Movie M3 of Willemet et al. 2021: deformation of the pressed skin chain at a low and a high friction."""
+"""Movie M3 of Willemet et al. 2021: deformation of a simulated fingertip at low and at high friction."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,7 +35,7 @@ def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArra
 
 
 def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray[np.uint8]]:
-    """Yield one RGB image (H, W, 3) for every `step`-th time of simulated presses: skin by displacement, and loads."""
+    """Yield one RGB image (H, W, 3) at each `step`-th time of simulated presses: deformed skin and contact loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))

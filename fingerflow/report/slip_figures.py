@@ -1,4 +1,4 @@
-"""Figures of Terekhov & Hayward 2011, drawn into given axes: skin motion, d^2 against T/N and against time."""
+"""Figures of Terekhov & Hayward 2011: skin motion, and the relative stuck area against load ratio and time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,7 +29,7 @@ def draw_motion(
     contact_outline: ArrayLike | None = None,
     stuck_outline: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figure 1: the skin's displacement as arrows at scale 1, with the outlines of contact and stick region.
+    """Draw figure 1: displacement of the skin as arrows in true length, with outlines of contact and stick region.
 
     Args:
         points: (P, 2) mm, positions of the arrows' tails, y down.
@@ -69,7 +69,7 @@ def draw_trial(
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: stuck area share d^2 against load ratio T/N, with 5 % corridor, collapse and fit."""
+    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model."""
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
     axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
     if np.isfinite(verdict.loss_load_ratio):
@@ -97,7 +97,7 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for many trials: d^2 against T/N relative to the loss of adhesion, coloured by verdict.
+    """Draw figures 2 b and c for many trials: stuck area d^2 against load ratio, scaled to 1 at full slip.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """
@@ -122,7 +122,7 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
 
 
 def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
-    """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked."""
+    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip."""
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
     axes.plot(when, area, color=INK, linewidth=1)
     collapses = _draw_collapse(axes, when, area, verdict)
@@ -135,7 +135,7 @@ def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: 
 
 
 def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: TrialVerdict) -> bool:
-    """Draw the collapse of the stuck area if there is one, and return whether there is."""
+    """Draw the sudden collapse of the stuck area, and return True; without a collapse draw nothing and return False."""
     if verdict.outcome != "vanishes abruptly":
         return False
     collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)

@@ -34,7 +34,7 @@ _LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force ra
 
 @dataclass(frozen=True)
 class Counted:
-    """Number of trials of a study, of those that each rule excludes, and of those used."""
+    """Numbers of trials: in the study, excluded by each rule, and used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -43,7 +43,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials that figures and statistics use; if `answered` is False, no answers exist and `answer` is meaningless."""
+    """Trials that figures and statistics use; if `answered` is False, `answer` holds no real answers."""
 
     trials: Trials
     answered: bool
@@ -135,7 +135,7 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
 
 
 def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the fields of several statistical tests, with Holm-corrected p-values `p_holm`."""
+    """Return several statistical tests as dictionaries, each with its Holm-corrected p-value `p_holm`."""
     corrected = holm({name: test.p for name, test in tests.items()})
     return {name: {**asdict(test), "p_holm": corrected[name]} for name, test in tests.items()}
 

@@ -26,7 +26,7 @@ _MOST_MISSING = 0.5  # of a condition's trials: if fewer reach a force, their me
 
 @dataclass(frozen=True)
 class Tables:
-    """Paths of the files written by `write_tables`."""
+    """Paths of the four files written by `write_tables`."""
 
     trials: Path
     csv: Path
@@ -35,7 +35,7 @@ class Tables:
 
 
 def write_tables(manifest: Manifest) -> Tables:
-    """Write `trials.parquet` and `trials.csv` (a row per trial), `variables.csv` (column definitions) and `curves.csv`.
+    """Write a study's `trials.parquet` and `trials.csv` (row per trial), `variables.csv` and `curves.csv`.
 
     Every trial of the manifest has a row; a failed one has its reason and no numbers, one not yet run has neither.
 
@@ -79,7 +79,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts and numbers (None becomes NaN)."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -108,7 +108,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return contact areas divided by their participant's median, by column; NaN if that median is 0 or unknown."""
+    """Return the contact areas of all trials, each divided by its participant's median; NaN where unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -117,7 +117,7 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def differences(frame: Any) -> dict[str, Any]:
-    """Return the columns `DIFFERENCES`: values of a trial less those of its reference; {} if no trial names one.
+    """Return the columns `DIFFERENCES`: value of a trial minus that of its reference; {} without references.
 
     It is NaN for trials without reference, as the references themselves.
     """
@@ -131,7 +131,7 @@ def differences(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per metric, condition and force: the mean over the participants.
+    """Return mean curves as rows: one row per metric, condition and force, averaged over participants.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force

@@ -12,7 +12,7 @@ from fingerflow import load_scene, process
 from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
-from fingerflow.report.beside_chain import compare_with_chain
+from fingerflow.report.chain_comparison import compare_with_chain
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
 pytestmark = pytest.mark.long
