@@ -222,7 +222,7 @@ TRACKING = (
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement. The attribute ``reference`` of a variable states it for this result.
-SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
+SINCE = "of points in contact since fields.reference, by default since each touched"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
@@ -381,7 +381,7 @@ STRAIN = (
     ),
     Variable(
         "strain_energy_between_points", FRAME, "mJ",
-        "strain energy of the skin in triangles between points in contact, less that of noise",
+        "strain energy in triangles between points in contact, less that of noise",
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
     ),
     Variable(
