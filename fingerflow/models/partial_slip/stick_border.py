@@ -2,8 +2,8 @@
 
 Skin and its strain are continuous, so beside the stick region the displacement begins as k x^p, with x the distance
 from the border. On an elastic half-space, whose tractions begin with a square root, p is 3/2 (Cattaneo 1938, Mindlin
-1949). Skin on an elastic bed with bounded tractions has p = 2. One trial's data do not tell which p holds, so p is
-taken as 7/4. Either extreme changes the level below by a quarter to a third, and d^2 by about 0.03.
+1949). Skin on an elastic bed with bounded tractions has p = 2. Where friction jumps at the border (mu_s > mu_k), the
+half-space has x ln(1/x), close to x^0.85 over the distances of the fit. So p is fitted, between 3/4 and 2.
 
 A tracked point shows the mean over its window, so windows that reach across the border move before their
 centre does. At the border they show the level
@@ -17,6 +17,7 @@ because its support is smaller and it is regularised; its response to x^p is mea
 (`pipeline.stages.slip.flow_resolution`).
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,58 +25,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
-#: Measured (blurred) value, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside.
-Seen = Callable[[Values], Values]
+#: Measured (blurred) value, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside,
+#: and the power p.
+Seen = Callable[[Values, float], Values]
 
-POWER = 1.75  # p
+POWERS = np.arange(0.75, 2.01, 0.0625)  # candidates for p
 
 _SAMPLES = 24  # along each side of a window
+_PLACES = 96  # means of neighbouring samples, by their distance from the border
 _ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # between border and window, 0 to 45 degrees
 _FEWEST = 8  # distances with a displacement
+_FREE = 4  # power, position, growth and base
 
 
 class BorderFit(NamedTuple):
     """Border of a stick region, fitted by `fit_border`: position, and growth of the displacement beyond that border.
 
     Attributes:
-        growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
-        offset: mm, position of the border on the scale of the distances.
+        power: p; `power_std`, its standard deviation.
+        growth: k: displacement is k x^p mm at a distance of x mm beyond the border.
+        offset: mm, position of the border on the scale of the distances; `offset_std`, its standard deviation.
         base: mm, measured displacement of skin that has not moved.
-        error: mm, root mean square residual of the fit.
+        error: mm, root mean square residual of the best candidate.
     """
 
+    power: float
+    power_std: float
     growth: float
     offset: float
+    offset_std: float
     base: float
     error: float
 
 
 def window_places(half_window: float) -> Values:
-    """Return offsets (K,) mm of a square window's pixels along the normal of a border, pooled over directions of the
-    border.
+    """Return sorted offsets (K,) mm along the normal of a border, each of as many pixels of a square window.
 
-    The positions are sorted.
+    They are pooled over directions of the border.
     """
     side = half_window * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     across, along = np.cos(_ANGLES)[:, None, None] * side, np.sin(_ANGLES)[:, None, None] * side[:, None]
-    return np.asarray(np.sort((across + along).ravel()))
+    return np.asarray(np.sort((across + along).ravel()).reshape(_PLACES, -1).mean(1))
 
 
-def seen_displacement(distance: Values, half_window: float) -> Values:
+def seen_displacement(distance: Values, power: float, half_window: float) -> Values:
     """Return window means of a displacement x^p beyond a border, at distances (K,) mm from it (negative inside)."""
     places = window_places(half_window)
-    return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
+    return np.asarray((np.maximum(distance[:, None] + places, 0) ** power).mean(1))
 
 
-def border_level(width: Values, growth: float, seen: Seen) -> Values:
+def border_level(width: Values, fit: BorderFit, seen: Seen) -> Values:
     """Return the displacement, mm (K,), that is measured at a stick border if the slipping annulus is (K,) mm wide."""
-    return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
+    return np.asarray(fit.growth * (seen(np.zeros(1), fit.power) - seen(-np.maximum(width, 0), fit.power)))
 
 
 def fit_border(distance: Values, displacement: Values, weight: Values, seen: Seen, step: float) -> BorderFit | None:
-    """Fit the position of the border at which a blurred displacement begins.
+    """Fit the position of the border at which a blurred displacement begins, and the power with which it does.
 
-    Weighted least squares in k and the base, which enter linearly, at each candidate position of the border.
+    k and the base follow by weighted least squares for each candidate of position and power. Means and deviations of
+    both are taken over the candidates, with weights exp(-chi^2 / 2); the least chi^2 is scaled to its degrees of
+    freedom where it exceeds them.
 
     Args:
         distance: (K,) mm from some contour of the displacement, positive on the side that sticks.
@@ -85,20 +94,40 @@ def fit_border(distance: Values, displacement: Values, weight: Values, seen: See
         step: mm between candidate positions.
 
     Returns:
-        The candidate with the least error; None if the displacement does not grow, or at fewer than eight distances.
+        None if the displacement does not grow, or at fewer than eight distances.
     """
     if len(distance) < _FEWEST:
         return None
-    root = np.sqrt(weight / weight.mean())
     offsets = np.arange(distance.min(), distance.max(), step)
-    best: BorderFit | None = None
-    for offset in offsets:
-        shape = seen(offset - distance)
-        if shape.max() <= 0:
-            continue
-        matrix = np.stack((shape, np.ones_like(shape)), 1) * root[:, None]
-        found, _, rank, _ = np.linalg.lstsq(matrix, displacement * root, rcond=None)
-        left = float(np.sqrt(np.mean((matrix @ found - displacement * root) ** 2)))
-        if rank == 2 and found[0] > 0 and (best is None or left < best.error):
-            best = BorderFit(float(found[0]), float(offset), float(found[1]), left)
-    return best
+    squared = np.full((POWERS.size, offsets.size), np.inf)
+    at = np.arange(offsets[0] - distance.max(), offsets[-1] - distance.min() + step, step)
+    for row, power in zip(squared, POWERS, strict=True):
+        shape = np.interp(offsets[:, None] - distance, at, seen(at, float(power)))
+        growth, _, chi = _lines(shape, displacement, weight)
+        row[:] = np.where(growth > 0, chi, np.inf)
+    least = float(squared.min())
+    if not np.isfinite(least):
+        return None
+    likely = np.exp((least - squared) / 2 / max(1.0, least / (len(distance) - _FREE)))
+    likely /= likely.sum()
+    (power, power_std), (offset, offset_std) = (
+        _mean_and_deviation(values, likely.sum(axis)) for values, axis in ((POWERS, 1), (offsets, 0))
+    )
+    growth, base, _ = _lines(seen(offset - distance, power)[None], displacement, weight)
+    error = math.sqrt(least / float(weight.sum()))
+    return BorderFit(power, power_std, float(growth[0]), offset, offset_std, float(base[0]), error)
+
+
+def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:
+    """Fit values (K,) by a multiple of each shape (C, K) and a constant; return both (C,), and chi^2 (C,)."""
+    share = weight / weight.sum()
+    mean, level = shapes @ share, float(values @ share)
+    apart, rest = shapes - mean[:, None], values - level
+    spread = apart**2 @ weight
+    growth = np.where(spread > 0, apart @ (weight * rest) / np.where(spread > 0, spread, 1), 0)
+    return growth, level - growth * mean, (rest - growth[:, None] * apart) ** 2 @ weight
+
+
+def _mean_and_deviation(values: Values, weights: Values) -> tuple[float, float]:
+    mean = float(values @ weights)
+    return mean, math.sqrt(float((values - mean) ** 2 @ weights))

@@ -156,6 +156,9 @@ class DenseFlowSlipStage(SlipStage):
     def _motion(self, frames: Any) -> NDArray[Any]:
         return np.asarray(self.results["skin_displacement"][frames])
 
+    def _shown(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+        return self._at_points(motion, grid), self._over_cells(motion, grid)
+
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         return np.asarray(grid.at_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
