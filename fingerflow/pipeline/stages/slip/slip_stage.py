@@ -90,7 +90,7 @@ class SlipStage(Stage):
         *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
     )
-    clear = 0.0  # argument of `StuckBorder`: single points show the border well above their noise
+    clear = 3.0  # argument of `StuckBorder`: where slip begins as x^2, points show 1 to 2 um at the border, as their noise
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)

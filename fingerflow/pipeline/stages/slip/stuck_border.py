@@ -21,8 +21,9 @@ _LEAST_INSIDE = 0.1  # share of the contact within the contour: leaves space for
 _BINS_A_WINDOW = 14
 _FROM, _TO = -2.0, 3.5  # range of the fit in half windows from the contour, negative outside
 _APART = 1.2  # half windows from the rim, for points and contour: windows at the rim show less than the law of slip
-_SMOOTHED = 0.5  # half windows, standard deviation of the smoothing of the contour
+_SMOOTHED = 0.4  # half windows, standard deviation of the smoothing of the contour
 _PLACE_STD = 0.1  # half windows: error of the border on rendered trials of several laws, beyond what the fit shows
+_SHARED = 0.25  # of the noise of a point: error of displacement that the points along a border share
 _DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
 _LEAST_POINTS = 20  # in a bin
 _MOST_POINTS = 400  # largest count in the weight of a bin: points are not independent
@@ -108,10 +109,15 @@ class StuckBorder:
 
     @property
     def place_std(self) -> float:
-        """Return the standard deviation, mm, of the border's position in all frames; NaN where it is not found."""
+        """Return the standard deviation, mm, of the border's position in all frames; NaN where it is not found.
+
+        It is that of the fit, that of the model, and the distance over which slip grows to the error that the points
+        of a border share.
+        """
         if self.fit is None:
             return math.nan
-        return math.hypot(self.fit.offset_std, _PLACE_STD * self._half)
+        hidden = (_SHARED * self.noise / self.fit.growth) ** (1 / self.fit.power)
+        return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
 
     @property
     def followed(self) -> float:
