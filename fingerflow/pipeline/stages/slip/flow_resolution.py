@@ -6,11 +6,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.models.partial_slip.stick_border import POWERS
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
 
 _INSIDE = 0.4  # share of the mask inside the simulated border
-_POWERS = np.linspace(POWERS[0], POWERS[-1], 4)  # of the simulated displacements; the blur in px is linear in between
 _LARGEST_PX = 3.0  # simulated displacement at the end of the mask
 _REACH_PX = 32  # on either side of the border; the flow is not affected farther away
 _STEP_PX = 0.5
@@ -21,10 +19,10 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures near a slip border when the true displacement is x^p at a distance of x mm.
+    """Response of dense flow to a slip border, beyond which the true displacement is x^p at a distance of x mm.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
-    displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
+    displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
     it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
     and overshoots a little beside it.
 
@@ -39,27 +37,21 @@ class FlowResponse:
         depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
         beyond = (border - depth).astype(np.float32)  # px beyond the border
+        growth = _LARGEST_PX / border
+        length = (growth * np.maximum(beyond, 0)).astype(np.float32)
         distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
-        found = np.zeros((len(_POWERS), len(distances)))
-        for row, power in zip(found, _POWERS, strict=True):
-            length = (_LARGEST_PX * (np.maximum(beyond, 0) / border) ** power).astype(np.float32)
-            row[:] = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
-        known = np.isfinite(found).all(0)
-        self._distances, self._blur = distances[known] * mm_per_px, found[:, known] / _LARGEST_PX
-        self._border = border * mm_per_px
+        found = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
+        known = np.isfinite(found)
+        blur = found[known] / growth
+        self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px
 
-    def __call__(self, distance: NDArray[np.float64], power: float) -> NDArray[np.float64]:
-        """Return the displacement in mm^p that the flow measures at signed distances (K,) mm beyond the slip border.
+    def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the displacement, mm, that the flow measures at signed distances in mm beyond the slip border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
-        if not len(self._distances):
-            return np.asarray(np.maximum(distance, 0) ** power)
-        at = float(np.interp(power, _POWERS, np.arange(len(_POWERS))))
-        lower = min(int(at), len(_POWERS) - 2)
-        blur = (1 - at + lower) * self._blur[lower] + (at - lower) * self._blur[lower + 1]
-        shown = np.maximum(distance / self._border, 0) ** power + np.interp(distance, self._distances, blur, left=0.0)
-        return np.asarray(self._border**power * shown)
+        blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
+        return np.asarray(np.maximum(distance, 0) + blur)
 
 
 def _blur(
@@ -71,7 +63,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of dense flow along an axis, on a frame displaced by a known amount.
+    """Return the mean error (K,) px of dense flow at K distances from a border, for a frame displaced by known amounts.
 
     `distances` (K,) px are beyond the border.
     """

@@ -21,7 +21,7 @@ from fingerflow.models.partial_slip import (
     fit_friction,
     judge_trial,
 )
-from fingerflow.models.partial_slip.stick_border import Seen, seen_displacement
+from fingerflow.models.partial_slip.stick_border import Seen, seen_ramp
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.contact.components import largest_component
@@ -144,7 +144,7 @@ class SlipStage(Stage):
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
         """Return the function that gives the measured (seen), hence blurred, displacement near a slip border."""
-        return partial(seen_displacement, half_window=self._reach)
+        return partial(seen_ramp, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
         """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
@@ -212,8 +212,10 @@ class SlipStage(Stage):
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
         judged = {name: json.dumps(_plain(asdict(part)), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
+        found = self._border.fit if self._border is not None and self._settings.criterion == "border" else None
+        power = {} if found is None else {"power": found.power, "power_std": found.power_std}
         self.results.put("stuck_area", self._ratio * self._area, limit)
-        self.results.put("stuck_ratio", self._ratio, limit | judged)
+        self.results.put("stuck_ratio", self._ratio, limit | power | judged)
         self.results.put("stuck_ratio_std", deviation)
         self.results.put("printed_stuck_ratio", self._printed, {"stuck_mm": self._settings.stuck_mm})
         self.results.put("slip_coverage", self._coverage)

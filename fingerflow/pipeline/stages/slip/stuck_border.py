@@ -20,9 +20,9 @@ _FEWEST_HELD = 3  # points for the fit of a rigid motion
 _LEAST_INSIDE = 0.1  # share of the contact within the contour: leaves space for windows that do not reach it
 _BINS_A_WINDOW = 14
 _FROM, _TO = -2.0, 3.5  # range of the fit in half windows from the contour, negative outside
-_APART = 1.2  # half windows from the rim, for points and contour: windows at the rim show less than the law of slip
-_SMOOTHED = 0.4  # half windows, standard deviation of the smoothing of the contour
-_PLACE_STD = 0.1  # half windows: error of the border on rendered trials of several laws, beyond what the fit shows
+_APART = 0.5  # half windows, least distance of points and contour from the rim, where windows show less than the law
+_SMOOTHED = 0.3  # half windows, standard deviation of the smoothing of the contour
+_PLACE_STD = 0.15  # half windows: error of the border on rendered trials of several laws, beyond what the fit shows
 _SHARED = 0.25  # of the noise of a point: error of displacement that the points along a border share
 _DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
 _LEAST_POINTS = 20  # in a bin
@@ -37,7 +37,7 @@ class StuckBorder:
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
     of slip is averaged over all frames by their distance from the contour, which leaves a noise of a tenth of a
-    micrometre. The fit finds where this displacement begins, as it is measured, and with which power of the distance
+    micrometre. The fit finds where this displacement begins, as it is measured, and by which law
     (`models.partial_slip.stick_border`). It gives the level measured at the border; the stick region of a frame is
     where displacement is below it.
 
@@ -116,7 +116,7 @@ class StuckBorder:
         """
         if self.fit is None:
             return math.nan
-        hidden = (_SHARED * self.noise / self.fit.growth) ** (1 / self.fit.power)
+        hidden = self.fit.grown(_SHARED * self.noise)
         return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
 
     @property
@@ -134,7 +134,7 @@ class StuckBorder:
         mean = self._sum[filled] / count
         spread = np.sqrt(np.maximum(self._squares[filled] / count - mean**2, _LEAST_SPREAD_MM**2))
         middle = ((self._edges[1:] + self._edges[:-1]) / 2)[filled]
-        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half / 50)
+        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half)
         if self.fit is None:
             self.reason = "no frames show a stuck part with slipping skin around it"
             return
@@ -184,8 +184,7 @@ class StuckBorder:
         """
         assert self.fit is not None
         at = np.linspace(0, width / 2, 100)
-        power = self.fit.power
-        shown = np.maximum.accumulate(self.fit.growth * (self._seen(at, power) - self._seen(at - width, power)))
+        shown = np.maximum.accumulate(self.fit.shown(at, self._seen) - self.fit.shown(at - width, self._seen))
         clear = min(self._above * self.noise, float(shown[-1]))
         if not clear > level:
             return level, 0.0
