@@ -18,6 +18,7 @@ from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
+PRINTED = "moved by less than 40 µm"
 
 
 def draw_motion(
@@ -58,10 +59,16 @@ def draw_trial(
     load_ratio: ArrayLike,
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
+    printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: d^2 against T/N, the 5 % corridor about T/N at the loss, the collapse, the fit."""
+    """Draw figures 2 b and c: d^2 against T/N, the 5 % corridor about T/N at the loss, the collapse, the fit.
+
+    ``printed_area`` is the d^2 of the printed criterion, drawn beside it.
+    """
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
-    axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
+    axes.plot(load, area, ".", markersize=3, color=GREY, label="not slipped")
+    if printed_area is not None:
+        axes.plot(load, np.asarray(printed_area, dtype=float), "x", markersize=3, color=YELLOW, label=PRINTED)
     if np.isfinite(verdict.loss_load_ratio):
         edges = verdict.loss_load_ratio * (1 - CORRIDOR), verdict.loss_load_ratio * (1 + CORRIDOR)
         axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
@@ -96,10 +103,25 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
     return finished(axes)
 
 
-def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
-    """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked."""
+def draw_over_time(
+    axes: Axes,
+    time: ArrayLike,
+    stuck_area: ArrayLike,
+    verdict: TrialVerdict,
+    area_std: ArrayLike | None = None,
+    printed_area: ArrayLike | None = None,
+) -> Axes:
+    """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked.
+
+    ``area_std`` draws a band of one standard deviation, ``printed_area`` the d^2 of the printed criterion.
+    """
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
-    axes.plot(when, area, color=INK, linewidth=1)
+    axes.plot(when, area, color=INK, linewidth=1, label="not slipped")
+    if area_std is not None and np.isfinite(area_std).any():
+        spread = np.asarray(area_std, dtype=float)
+        axes.fill_between(when, area - spread, area + spread, color=INK, alpha=0.15, linewidth=0, label="± 1 deviation")
+    if printed_area is not None:
+        axes.plot(when, np.asarray(printed_area, dtype=float), "--", color=YELLOW, linewidth=1, label=PRINTED)
     _draw_collapse(axes, when, area, verdict)
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")

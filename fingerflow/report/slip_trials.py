@@ -111,8 +111,9 @@ def trial_figure(trial: SlipTrial) -> Figure:
     position, one = np.asarray(result["position"]), result.isel(frame=frame)
     draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
     left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
-    draw_trial(middle, area, load, verdict, trial.fit)
-    draw_over_time(right, result["time"], area, verdict)
+    printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
+    draw_trial(middle, area, load, verdict, trial.fit, printed)
+    draw_over_time(right, result["time"], area, verdict, deviation, printed)
     figure.suptitle(f"{trial.name}: {verdict.outcome}, as printed: {verdict.printed_outcome}")
     return figure
 

@@ -67,7 +67,7 @@ class BorderFit(NamedTuple):
 
     def shown(self, distance: Values, seen: Seen) -> Values:
         """Return the measured displacement, mm, at distances (K,) mm beyond the border, without the base."""
-        return self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0]
+        return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
 
     def grown(self, displacement: float) -> float:
         """Return the distance, mm, over which the displacement grows to the given one, mm."""

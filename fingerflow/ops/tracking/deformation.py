@@ -87,7 +87,7 @@ def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: flo
 
 
 def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:
-    """Return the mean second-order displacement over windows, px (K, 2, N), from displacement gradients (K, N, 2, 2)."""
+    """Return the mean second-order displacement over windows, px (K, 2, N), from gradients (K, N, 2, 2)."""
     _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
     second = second.flatten(2).mT
     return _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)

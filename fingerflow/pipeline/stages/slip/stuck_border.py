@@ -103,7 +103,10 @@ class StuckBorder:
 
     def _smoothed(self, component: Field) -> Field:
         """Return a smoothed displacement component on the fine grid: noise of the contour would shorten distances."""
-        known, width = self._grid.fine_mask(self._grid.known).astype(np.float32), _SMOOTHED * self._half / self._grid.fine_mm
+        known, width = (
+            self._grid.fine_mask(self._grid.known).astype(np.float32),
+            _SMOOTHED * self._half / self._grid.fine_mm,
+        )
         total, share = (cv2.GaussianBlur(one, (0, 0), width) for one in (self._grid.fine(component) * known, known))
         return np.asarray(total / np.maximum(share, 1e-6))
 
