@@ -10,7 +10,7 @@ pytestmark = pytest.mark.long
 
 
 def test_a_trial_of_each_law_and_curve() -> None:
-    """All verdicts are right, d² is known in every frame; the power follows the law, and the deviation of d² is true."""
+    """All verdicts are right, d² is known in every frame; the power follows the law; the deviation of d² is true."""
     rows = slip.run(quick=True)
     groups, trials = {str(row["trial"]): row for row in rows[:8]}, rows[8:]
     assert list(groups) == ["all", *slip.CURVES, *LAWS]

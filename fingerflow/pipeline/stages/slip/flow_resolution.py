@@ -19,11 +19,11 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Response of dense flow to a slip border, beyond which the true displacement is x^p at a distance of x mm.
+    """Response of dense flow to a slip border, beyond which the true displacement is a ramp.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
-    displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
-    it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
+    displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
+    with it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
     and overshoots a little beside it.
 
     Args:

@@ -331,7 +331,8 @@ class SlipStage(Stage):
         if limit < _LEAST_LIMIT * noise:
             self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
-                f"moved by {1000 * self._limit():.1f} µm counts as slipped: where the stuck part ends is not known. Record "
+                f"moved by {1000 * self._limit():.1f} µm counts as slipped: where the stuck part ends is not known. "
+                "Record "
                 f'with more light, raise [tracking] window_px, or take [slip] criterion = "displacement" with a '
                 f"larger stuck_mm"
             )
