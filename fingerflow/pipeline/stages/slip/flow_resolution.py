@@ -23,8 +23,8 @@ class FlowResponse:
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
-    with it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
-    and overshoots a little beside it.
+    with it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px
+    would, and overshoots a little beside it.
 
     Args:
         template: of ``image``.
