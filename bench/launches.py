@@ -51,19 +51,22 @@ class Launches(NamedTuple):
 
 
 def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
-    """Count the calls of a module in one run on inputs that may be nested; the module stays as it is.
+    """Count the calls of a module in its second run on inputs that may be nested; the module stays as it is.
+
+    In the first run constants may be brought to the accelerator, which keeps them.
 
     Raises:
         HostWait: the host would have to wait; the message names the operation.
     """
-    counter = _Counter()
 
     def shape_of(value: Any) -> Any:
         return value.to("meta") if isinstance(value, Tensor) else value
 
     there = {name: shape_of(value) for name, value in (*module.named_parameters(), *module.named_buffers())}
     given = tree_map(shape_of, tuple(inputs))
-    with torch.inference_mode(), counter:
+    with torch.inference_mode(), _Counter(first=True):
+        torch.func.functional_call(module, there, given)
+    with torch.inference_mode(), _Counter(first=False) as counter:
         result = torch.func.functional_call(module, there, given)
     described = tree_map(
         lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
@@ -72,9 +75,9 @@ def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
 
 
 class _Counter(TorchDispatchMode):
-    def __init__(self) -> None:
+    def __init__(self, first: bool) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
-        self.calls = 0
+        self.calls, self._first = 0, first
 
     def __torch_dispatch__(
         self, operation: Any, types: Any, arguments: tuple[Any, ...] = (), options: dict[str, Any] | None = None
@@ -91,9 +94,9 @@ class _Counter(TorchDispatchMode):
             raise HostWait(f"{operation}{' by a mask' if by_mask else ' with a tensor of the host' if mixed else ''}")
         result = operation(*arguments, **(options or {}))
         after = [value.is_meta for value in tree_leaves(result) if isinstance(value, Tensor)]
-        if name == "aten::detach_" and there:  # the one trace of torch.tensor([...], device=...)
+        if name == "aten::detach_" and there and not self._first:  # the one trace of torch.tensor([...], device=...)
             raise HostWait("a tensor made of numbers of the host in every call")
-        if given and any(after) and not there:
+        if given and any(after) and not there and not self._first:
             raise HostWait(f"{operation} brings a constant from the host in every call")
         if any(after) and is_call(operation):
             self.calls += 1

@@ -25,7 +25,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public function on first use, and only then torch and other libraries."""
+    """Import a public function on first use, so that torch is imported only when it is needed."""
     if name in _HOMES:
         try:
             return getattr(import_module(_HOMES[name]), name)

@@ -18,7 +18,7 @@ class NoRoomError(FingerflowError):
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error's message, up to 160 characters; of a system error without number and path."""
+    """Return the first line of an error's message, up to 160 characters, without a system error's number and path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     line = (text.strip().splitlines() or [""])[0].strip("'\" ")
     return line[:160] or type(error).__name__

@@ -4,7 +4,7 @@ the recordings, one graph without a break.
 A module that is new has to be given inputs in tests/embedded.py.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -100,39 +100,13 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
 
 STEPS = steps()
 
-_BROUGHT = "a constant is made in every call"
-_ONE_BY_ONE = "views are warped one after the other"
-_PICKED = "the neighbours of one recording are picked in one call, those of several one after the other"
-_CUT_ONE_BY_ONE = "windows are cut out of one view after the other"
-#: What the modules do not meet yet, by step: the tests say when they do.
-WAITS = {
-    "KeyGraph - warp": _ONE_BY_ONE,
-    "SearchGraph": _CUT_ONE_BY_ONE,
-    **{f"FieldsGraph - {name}": _BROUGHT for name in ("medians", "entered")},
-    **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
-    **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("fields_entered", "windows")},
-    **{f"{recipe} outliers": _PICKED for recipe in RECIPES},
-    **{f"{recipe} renew": _ONE_BY_ONE for recipe in RECIPES},
-    **{f"{recipe} search": _CUT_ONE_BY_ONE for recipe in RECIPES},
-}
-
 
 @cache
 def launches(step: Step, batch: int) -> Launches:
     return count_launches(step.module, step.inputs(batch))
 
 
-def marked(reasons: dict[str, str], raises: tuple[type[Exception], ...], names: Iterable[str] = STEPS) -> list[Any]:
-    """Steps; those that are known to fail, and why, so that they are noticed when they do no longer."""
-    return [
-        pytest.param(name, marks=pytest.mark.xfail(reason=reasons[name], raises=raises, strict=True))
-        if name in reasons
-        else name
-        for name in names
-    ]
-
-
-@pytest.mark.parametrize("name", marked(WAITS, (HostWait, AssertionError)))
+@pytest.mark.parametrize("name", STEPS)
 def test_the_host_never_waits_and_more_recordings_cost_no_launch(name: str) -> None:
     one, eight = (launches(STEPS[name], batch).calls for batch in (1, 8))
     assert 0 < one == eight

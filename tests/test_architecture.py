@@ -30,12 +30,12 @@ _TABLE = {
     "stages": "choice engines errors graphs kernels models ops recordings results schema torch_engine tracker",
     "pipeline": "__init__ choice engines errors export recordings results schema stages tensors torch_engine",
     "synthetic": "errors models ops schema",
-    "plot": "errors graphs recordings schema stages",
+    "plot": "errors graphs recordings results schema stages",
     "report": "errors models ops plot recordings results schema synthetic",
     "export": "__init__ engines errors graphs kernels ops schema synthetic tensors tracker",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
-    "view": "__init__ calibration engines errors pipeline recordings results schema stages",
+    "view": "__init__ calibration engines errors pipeline player recordings results schema stages",
     "__init__": "pipeline recordings results schema",  # only when one of them is asked for, see below
 }
 ARROWS = {room: set(others.split()) for room, others in _TABLE.items()}

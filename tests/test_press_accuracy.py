@@ -66,11 +66,23 @@ def test_stated_uncertainty_of_medians(result: xr.Dataset, truth: Truth) -> None
 
 
 def test_strain_energy(result: xr.Dataset) -> None:
+    """Of all skin in contact 5 %, and stated so. A contact whose border is 0.03 mm off has 4 % more or less."""
+    frames = range(60, 300, 24)
+    true, _ = np.array([energy_since_onset(Press(), result, k, 0.1) for k in frames]).T
+    energy, stated = result["strain_energy"].values[frames], result["strain_energy_std"].values[frames]
+    np.testing.assert_allclose(energy, true, rtol=0.05)
+    z = (energy - true) / stated
+    assert np.sqrt((z**2).mean()) < 1.5
+    assert np.abs(z).max() < 3
+    assert (stated < 0.15 * energy).all()
+
+
+def test_strain_energy_between_points(result: xr.Dataset) -> None:
     """8 % of what the triangles hold, and stated so: the border is known to 0.06 mm, and most of it is there. A fifth
     of what the contact has lies between the outermost points and the border, in no triangle."""
     frames = range(84, 300, 36)
     contact, between = np.array([energy_since_onset(Press(), result, k, 0.15) for k in frames]).T
-    energy, stated = result["strain_energy"].values[frames], result["strain_energy_std"].values[frames]
+    energy, stated = (result[f"strain_energy_between_points{end}"].values[frames] for end in ("", "_std"))
     np.testing.assert_allclose(energy, between, rtol=0.12)
     z = (energy - between) / stated
     assert np.sqrt((z**2).mean()) < 1.5  # 2.6 by the errors of the points alone

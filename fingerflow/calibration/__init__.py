@@ -1,4 +1,4 @@
-"""Calibration of a rig from frames of a disc target and of a scale ring: image scale, and transform between views."""
+"""Calibrate a rig (image scale and transform between views) from frames of a disc target and of a scale ring."""
 
 from fingerflow.calibration.calibration import Calibration, is_calibration
 from fingerflow.calibration.discs import find_discs, find_hole

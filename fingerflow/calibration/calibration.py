@@ -61,7 +61,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration stored in a calibration file, whose text `to_toml` produced.
+        """Return the calibration stored in a calibration file, which holds the text of `to_toml`.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """

@@ -1,4 +1,4 @@
-"""Detection of the dark discs of a target, and of the hole of the scale ring, even under uneven light."""
+"""Detect the dark discs of a target and the hole of the scale ring, even under uneven light."""
 
 import cv2
 import numpy as np
@@ -51,7 +51,7 @@ def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Dis
 
 
 def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
-    """Return all dark discs with radii between two fractions of the shorter side of the view; see `find_discs`."""
+    """Return all dark discs whose radius lies between two given fractions of the shorter side of the view."""
     image = _checked(view_image, "the view")
     empty = None if background is None else _checked(background, "the background of the view")
     if empty is not None and empty.shape != image.shape:
@@ -140,7 +140,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return likely circles (agreement, x, y, radius) px in a reduced image, by votes of brightness gradients."""
+    """Return likely circles (agreement, x, y, radius) px in a reduced image, by Hough votes of brightness gradients."""
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)

@@ -120,7 +120,7 @@ class _Unwrapped:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return edge positions (N, 2) and angles (N,): the points of steepest brightness rise along rays."""
+        """Return the position (N, 2) and angle (N,) of the steepest brightness rise along each ray."""
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
@@ -136,7 +136,7 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the brightness step at the disc edge as a fraction of the outside, and over its spread on the edge."""
+        """Return the brightness step at the disc edge as a fraction of the outside, and in standard deviations."""
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
@@ -199,7 +199,7 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Return the standard deviation (px) of a fitted disc centre, estimated from the raggedness of the contour."""
+    """Return the standard deviation (px) of a fitted disc centre, from the scatter of edge points about the ellipse."""
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

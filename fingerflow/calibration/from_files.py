@@ -1,4 +1,4 @@
-"""Calibration from image files of the scale ring and the disc target, stored as a calibration file and an overlay."""
+"""Calibration from image files of the scale ring and the disc target."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -24,7 +24,7 @@ LIGHT_SHARE = 1 / 8
 
 
 def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike | None, ring: ArrayLike) -> None:
-    """Write a PNG image of the calibration frames (H, W), with the detected discs and the hole drawn over them.
+    """Write a PNG image of the calibration frames (H, W) with the detected discs and the hole.
 
     Top: both views of the target with the discs, and the ring with its hole. Bottom: the topography view transformed to
     the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges continue across squares),
@@ -135,7 +135,7 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 
 
 def _visible(image: Array) -> NDArray[np.uint8]:
-    """Return an 8-bit image for display, from which slow variations of light are removed."""
+    """Return an 8-bit image for display, without slow variations of light."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)

@@ -1,4 +1,4 @@
-"""Registration of the two views: matching of discs between the views, and fit of the transform."""
+"""Match discs between the two views, and fit the transform that registers the views."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations

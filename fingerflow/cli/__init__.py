@@ -1,4 +1,4 @@
-"""Command line of fingerflow: each function is a command without logic, each file groups commands of one purpose."""
+"""Command line of fingerflow: one function per command, one file per group of commands."""
 
 import _thread
 import signal
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
-    """Interrupt the main thread once more where Ctrl-C came in a callback, from which Python lets no exception out."""
+    """Repeat a Ctrl-C in the main thread if it occurred in a callback, where Python discards exceptions."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
         # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
         # which Windows does not have.

@@ -1,4 +1,4 @@
-"""Typer application to which all commands are added, and options that several commands share."""
+"""Define the Typer application of all commands, and the options that several commands share."""
 
 import json
 from typing import Annotated, Any
@@ -14,12 +14,31 @@ Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")
 ]
 
+Format = Annotated[
+    str | None, typer.Option("--format", help="Of figures: pdf, svg, png, or several with commas between; default png.")
+]
+Width = Annotated[
+    str | None,
+    typer.Option(
+        "--width",
+        help="Of figures on paper, such as 85mm, 8.5cm or 3.3in; default 180mm for several panels, 85mm for one. "
+        "Panels without room beside each other stand below each other.",
+    ),
+]
+
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; the import of torch waits until then."""
+    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; torch is imported only here."""
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
+
+
+def figure_files(formats: str | None, width: str | None) -> Any:
+    """Return the `FigureFiles` of the options --format and --width; the import of matplotlib waits until then."""
+    from fingerflow.plot.figure_files import FigureFiles
+
+    return FigureFiles.of(formats or "png", width)
 
 
 def tell(facts: Any, text: str, as_json: bool) -> None:

@@ -19,7 +19,7 @@ def export(
     bundle: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
     as_json: AsJson = False,
 ) -> None:
-    """Write the graphs of a recipe as ONNX, with a player, and compare them with torch."""
+    """Export a recipe to a deployment bundle: ONNX graphs, compared with torch, and the player."""
     from fingerflow.export import as_text, export_bundle
 
     rows = export_bundle(recipe, bundle, progress=not as_json)
@@ -32,7 +32,7 @@ def export(
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def stream(context: typer.Context) -> None:
-    """Play an exported bundle on a camera, a recording or a synthetic stream: fingerflow stream BUNDLE --help."""
+    """Process a camera, recording or synthetic stream with a bundle; options: fingerflow stream BUNDLE --help."""
     from fingerflow.player import main as play
 
     raise typer.Exit(play(context.args, prog="fingerflow stream", forces_of=_forces_of))

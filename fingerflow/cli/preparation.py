@@ -1,4 +1,4 @@
-"""Commands that prepare a scene: facts about a recording, the scene file, and the calibration."""
+"""Commands that prepare a scene: `init`, `keys`, `info` and `calibrate`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +15,7 @@ def init(
     gel: Annotated[Path | None, typer.Option(help="Recording of a soft sensor with printed markers.")] = None,
     mm_per_px: Annotated[float | None, typer.Option(help="Scale on the gel, with --gel.")] = None,
 ) -> None:
-    """Write a commented scene file: to fill in, or with --gel one that can be processed as it is."""
+    """Write a commented scene file: a template to fill in or, with --gel, a complete file for a soft sensor."""
     from fingerflow.recordings import open_recording
     from fingerflow.results.atomic_write import write_atomically
     from fingerflow.schema.scene_template import gel_scene_text, scene_text
@@ -48,7 +48,7 @@ def keys(
 
 @app.command()
 def info(recording: Path, as_json: AsJson = False) -> None:
-    """Say what a recording holds, without reading its frames: damage that only decoding shows is not among it."""
+    """Print the properties of a recording; frames are not decoded, so damage in their pixels is not detected."""
     from fingerflow.recordings import open_recording
 
     found = open_recording(recording)
@@ -93,7 +93,7 @@ def calibrate(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
+    """Measure the image scale and the transform between views from frames of a ring and of a target with discs."""
     from fingerflow.calibration import calibrate_files
     from fingerflow.schema.views import View
 

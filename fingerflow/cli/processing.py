@@ -1,4 +1,4 @@
-"""Commands that compute results from a scene, and that list the variables of results."""
+"""Commands that compute results of a scene (`process`) and list result variables (`outputs`)."""
 
 import json
 from pathlib import Path
@@ -44,7 +44,7 @@ def process(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compute a scene and save the result."""
+    """Process the recording of a scene and save the result."""
     from fingerflow.results.result import scene_of
     from fingerflow.schema.scene import load_scene
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, tell
+from fingerflow.cli.app import AsJson, Format, Overwrite, Width, app, figure_files, process_scene, tell
 from fingerflow.errors import FingerflowError
 
 
@@ -22,14 +22,20 @@ def report(
         ),
     ] = None,
     chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
+    formats: Format = None,
+    width: Width = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
+    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream.
+
+    With --format or --width, each figure of the page is also written as a file into the folder figures beside it.
+    """
     from fingerflow.report import write_report
     from fingerflow.report.beside_chain import compare_with_chain
     from fingerflow.results.result import load_result
     from fingerflow.schema.scene import load_scene
 
+    files = figure_files(formats, width) if formats or width else None
     if scene.is_dir():
         from fingerflow.results.stream_result import open_stream
 
@@ -39,24 +45,30 @@ def report(
             )
         if friction:
             raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
-        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite)}")
+        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite, figure_files=files)}")
         return
     loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
     stored = load_result(result or scene.parent / "result.h5")
     beside = compare_with_chain(stored, friction, chain) if friction else None
-    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite)}")
+    page = write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite, figure_files=files)
+    typer.echo(f"report: {page}")
 
 
 @app.command()
 def slip(
     scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
     figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+    formats: Format = None,
+    width: Width = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Judge whether the stuck area of each trial vanishes abruptly or fades."""
+    """Classify trials of tangential loading: does the stuck area vanish abruptly or shrink gradually?"""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
     from fingerflow.schema.scene import load_scene
 
+    if figure is None and (formats or width):
+        raise FingerflowError("--format and --width are of figures; name a folder for them by --figure")
+    files = figure_files(formats, width)
     trials, failed = [], 0
     for path in scenes:
         try:
@@ -73,14 +85,14 @@ def slip(
             typer.echo(f"warning: {path}: {warning}", err=True)
     typer.echo(summary(trials, failed))
     if figure is not None and trials:
-        typer.echo(f"figures: {write_figures(trials, figure, overwrite)}")
+        typer.echo(f"figures: {write_figures(trials, figure, overwrite, files)}")
     if not trials:
         raise typer.Exit(2)
 
 
 @app.command()
 def figures(
-    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S4.png ... and M3.mp4.")],
+    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S1.txt (the caption), S4.png ... and M3.mp4.")],
     tribometer: Annotated[
         Path | None,
         typer.Option(help="A trace of sliding friction, for figure S1: CSV, HDF5, .mat or .tdms."),
@@ -109,15 +121,18 @@ def figures(
     yes_no: Annotated[
         bool, typer.Option("--yes-no", help="Fit the guess rate of figure S12 C; 0.5, of a forced choice, without it.")
     ] = False,
+    formats: Format = None,
+    width: Width = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
+    """Draw figures of Willemet et al. 2021 from simulations, a tribometer trace and a table of trials."""
     from fingerflow.models.observer import FORCED_CHOICE, YES_NO
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.report.trials_file import load_trials
     from fingerflow.report.tribometer import read_tribometer
 
+    files = figure_files(formats, width)
     names, units = _pairs("--column", column), _pairs("--unit", unit)
     if tribometer is None and (names or units):
         raise FingerflowError("--column and --unit are of a trace; give the file by --tribometer")
@@ -126,7 +141,7 @@ def figures(
         trials=None if trials is None else load_trials(trials),
         design=YES_NO if yes_no else FORCED_CHOICE,
     )
-    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
+    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite, files=files)
     facts = [
         {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)} for one in written
     ]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import INTERRUPTED, app
+from fingerflow.cli.app import INTERRUPTED, Format, Width, app, figure_files
 from fingerflow.errors import FingerflowError
 
 study = typer.Typer(
@@ -39,7 +39,7 @@ def init(
         Path | None, typer.Option(help="A CSV file: participant, trial, answer (1 or 0), and what else is known.")
     ] = None,
 ) -> None:
-    """Write study.toml and trials.csv from what a folder holds."""
+    """Write study.toml and trials.csv for the recordings found in a folder."""
     from fingerflow.study.init import init_study
 
     found = init_study(folder, answers)
@@ -81,12 +81,25 @@ def run(
 
 
 @study.command()
-def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
-    """Write the page of a study: trials, figures and statistics, from what `run` has left."""
+def report(
+    manifest: Manifest,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    formats: Format = None,
+    width: Width = None,
+) -> None:
+    """Write the page of a study (trials, figures and statistics) from the results of `run`."""
+    from fingerflow.study.cluster import Interrupted
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
 
-    typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers)}")
+    files = figure_files(formats, width)
+    try:
+        page = write_study_report(load_manifest(manifest), scheduler, workers, figure_files=files)
+    except Interrupted as stop:
+        typer.echo(f"no page: {stop}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    typer.echo(f"page: {page}")
 
 
 @study.command()
@@ -96,7 +109,7 @@ def simulate(
     trials: Annotated[int, typer.Option(min=1, help="Of each participant in each condition.")] = 2,
     seed: int = 0,
 ) -> None:
-    """Write small recordings of a study with known truth, and the answers of an observer of known sensitivity."""
+    """Write small synthetic recordings of a study with known truth, and the answers of a simulated observer."""
     from fingerflow.study.simulated import Design, write_recordings
 
     if folder.exists():

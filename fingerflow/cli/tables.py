@@ -27,7 +27,7 @@ def export_table(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a result as CSV (a row a frame, a point or a step of a track) or .mat (everything)."""
+    """Export a result as a CSV table (one row per frame, point or track step), or completely as .mat."""
     from fingerflow.results import tables
     from fingerflow.results.result import load_result
     from fingerflow.results.stream_result import open_stream
@@ -45,7 +45,7 @@ def export_map(
     step_mm: Annotated[float, typer.Option(help="Between the places of the grid, on the glass.")] = 0.1,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a variable on a regular grid of the glass: a stack of maps, one a frame."""
+    """Export a variable as maps on a regular grid of the glass, one map per frame."""
     from fingerflow.results import tables
     from fingerflow.results.result import load_result
 

@@ -16,7 +16,7 @@ def view(
     port: Annotated[int, typer.Option(help="Default: a free one.", min=0, max=65535)] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
 ) -> None:
-    """Set up a scene and look at its results on a page that is served to this computer alone."""
+    """Set up a scene and view its results on a local web page, which only this computer can open."""
     import webbrowser
     from contextlib import ExitStack
 

@@ -1,4 +1,4 @@
-"""Test in NumPy whether the apparent contact covers points, by interpolation of the density margin between cells.
+"""Test in NumPy whether points lie in the apparent contact, by interpolation between image cells.
 
 The results are those of `ops.contact.cells`.
 """

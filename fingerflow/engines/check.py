@@ -1,4 +1,4 @@
-"""Check of an engine, by comparison of results for a built-in frame with the results stored in the bundle.
+"""Self-test of an engine: results for a built-in frame are compared with those stored in the bundle.
 
 An engine with other results computes wrongly on this computer.
 """
@@ -27,7 +27,7 @@ _FLIPS = 0.01  # share of the values that may be finite in only one of both resu
 
 
 class Tolerance(NamedTuple):
-    """Tolerance of the check: the largest difference between two results that rounding explains, with a unit.
+    """Tolerance of the self-test: the largest difference that rounding can cause, with its unit.
 
     If `relative`, it is a share of the value.
     """
@@ -110,7 +110,7 @@ def _sentence(engine: Engine, found: str) -> str:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, as numbers by the keys of `TOLERANCES`."""
+    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`."""
     light = engine.light(frame.empty.astype(np.float32), None)
     contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
     templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)

@@ -1,4 +1,4 @@
-"""Interface of the engines, and the arrays that are passed to and from them."""
+"""Define the interface of the engines, with the arrays that are passed to and from them."""
 
 from __future__ import annotations
 
@@ -86,12 +86,12 @@ class TemplateBuffers(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (N, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (N, 32) in the order of `kernels.tracking_limits.Number`."""
         ...
 
 
 class FoundPoints(NamedTuple):
-    """Points tracked in K frames; lost points are NaN.
+    """Results of tracking N points in K frames; positions of lost points are NaN.
 
     Attributes:
         points: (K, N, 2) px, NaN where the status is not TRACKED.
@@ -113,7 +113,7 @@ class FoundPoints(NamedTuple):
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Return the tracking results of some frames, and of all points or some."""
+        """Return the tracking results of selected frames and points; all points by default."""
         return FoundPoints(*(one[frames][:, points] for one in self))
 
 
@@ -153,7 +153,7 @@ class FrameEllipse(NamedTuple):
 
 
 class EnteredPoints(NamedTuple):
-    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
+    """Points that moved into the contact (advected), with displacement gradients since each point's entry.
 
     Attributes:
         among: (K, N) bool, True for the points that were advected.
@@ -225,7 +225,7 @@ class Engine(Protocol):
         ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); no pixels for NaN."""
+        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN."""
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
@@ -236,7 +236,7 @@ class Engine(Protocol):
         ...
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) that is True for points (K, N, 2) px of the topography view under the apparent contact.
+        """Return a mask (K, N) of points (K, N, 2) px of the topography view that lie in the apparent contact.
 
         `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
         """
@@ -247,7 +247,7 @@ class Engine(Protocol):
         ...
 
     def key(self, image: Images) -> KeyFrame:
-        """Return a key frame: a copy of a frame (1, 1, H, W), and the standard deviation of the frame's noise."""
+        """Return a copy of a frame (1, 1, H, W) as key frame, with the standard deviation of its noise."""
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
@@ -262,7 +262,7 @@ class Engine(Protocol):
         ...
 
     def follow(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
-        """Track templates, all or those with indices `rows` (L,), through consecutive frames.
+        """Track templates through consecutive frames: all templates, or those with indices `rows` (L,).
 
         Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
         `tracker.point_prediction`. A point that one step does not reach is tracked on from where it ended, in up to
@@ -283,17 +283,16 @@ class Engine(Protocol):
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """Return two masks (K, N): points that deviate from their neighbours, and points far less certain than their
-        neighbours.
+        """Return two masks (K, N): points that deviate from their neighbours, and points with a far larger uncertainty.
 
         The test is that of `ops.tracking.outliers`.
         """
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search a frame for key-frame points around guessed positions (n, 2) px; return the positions (n, 2) px found.
+        """Search a frame for key-frame points around guessed positions; return positions (n, 2) px and a mask (n,).
 
-        Also return whether (n,) the search backward returns to the start.
+        The mask is True where the backward search returns to the start.
         """
         ...
 
@@ -328,7 +327,7 @@ class Engine(Protocol):
 
 
 def nothing_found(frames: int) -> FoundPoints:
-    """Return an empty tracking result: that of a number of frames without points."""
+    """Return the empty tracking result of `frames` frames without any points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

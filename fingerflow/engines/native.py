@@ -186,7 +186,7 @@ class NativeEngine:
 
 
 def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """Compute the light of the empty glass, with 0 at unlit pixels, and the black level, as `ops.glass_light` does.
+    """Compute light of the empty glass (0 at unlit pixels) and black level, as `ops.glass_light`.
 
     Images are (H, W).
     """

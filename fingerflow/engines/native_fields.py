@@ -92,9 +92,9 @@ def _area_medians(
     measure: str,
     entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute the medians of divergence, curl and strain over an ellipse, with standard deviations.
+    """Compute medians of divergence, curl and strain over an ellipse, standard deviations, and the known area share.
 
-    The known share of the area is returned too. The results are those of `ops.fields.area_medians`.
+    The results are those of `ops.fields.area_medians`.
     """
     batch = len(displacement)
     ellipses = np.empty((batch, 6), np.float32)

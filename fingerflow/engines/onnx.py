@@ -26,7 +26,7 @@ from fingerflow.engines.engine import (
     KeyFrame,
 )
 from fingerflow.engines.padding import filled
-from fingerflow.engines.prediction import Course
+from fingerflow.engines.prediction import MotionState
 from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
@@ -39,7 +39,7 @@ _SUPPORTS = 4  # sets of points whose neighbours are cached
 
 
 class _KeyImage:
-    """Image of a key frame (1, 1, H, W), and spline coefficients that are computed for the first template update."""
+    """Image of a key frame (1, 1, H, W); its spline coefficients are computed at the first template update."""
 
     def __init__(self, view: Array) -> None:
         self.view, self.spline = view, None
@@ -49,7 +49,7 @@ class _KeyImage:
 
 
 class _OnnxTemplates:
-    """Templates of n points: as arrays by name, and as stored inputs of the ONNX graph `track`."""
+    """Templates of n points, stored as arrays and, for fast calls, as prepared inputs of the ONNX graph `track`."""
 
     def __init__(self, arrays: dict[str, Array]) -> None:
         self.arrays = arrays
@@ -59,7 +59,7 @@ class _OnnxTemplates:
 
     @property
     def numbers(self) -> Array:
-        """Return the numbers (n, 32) that describe each template, in the order of `kernels.tracking_limits.Number`."""
+        """Return the template statistics (n, 32) in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class _OnnxTemplates:
             return self._values
 
     def update(self, rows: Array, updated: _OnnxTemplates, track: GraphSession) -> None:
-        """Replace the templates with indices `rows`, also in the memory of the execution provider."""
+        """Replace the templates with indices `rows` by `updated`, also in the memory of the execution provider."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
         if not track.shares_memory:
@@ -161,7 +161,7 @@ class OnnxEngine:
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _OnnxTemplates:
         noise = np.array([key.noise], np.float32)
         if warp is None:
-            given = {"topography_view": key.image.view, "noise": noise, **self._all(points=points[None])}
+            given = {"topography_view": key.image.view, "noise": noise, **self._pad_points(points=points[None])}
             found = self._sessions["prepare"](given)
             return _OnnxTemplates({name: found[name][:, : len(points)] for name in _TEMPLATES})
         if key.image.spline is None:
@@ -176,24 +176,24 @@ class OnnxEngine:
     def follow(
         self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        course = Course.begin(place, speed)
+        course = MotionState.begin(place, speed)
         guess = course.expect()
         every = np.arange(len(guess)) if rows is None else rows
-        found = self._look(templates, images, guess, every, whole=rows is None)
+        found = self._track_frame(templates, images, guess, every, whole=rows is None)
         for _ in range(ROUNDS - 1):
             lost = np.flatnonzero(found.status[0] == TrackStatus.NOT_CONVERGED)
             if not len(lost):
                 break
-            again = self._look(templates, images, found.estimate[0, lost], every[lost])
+            again = self._track_frame(templates, images, found.estimate[0, lost], every[lost])
             for whole, part in zip(found, again, strict=True):
                 whole[:, lost] = part
         after = course.see(found)
         return Followed(found, after.place, after.speed)
 
-    def _look(
+    def _track_frame(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
     ) -> FoundPoints:
-        """Look for templates in a frame: track those with indices `rows` (L,) near guessed positions (L, 2)."""
+        """Track the templates with indices `rows` (L,) in a frame, starting from guessed positions (L, 2)."""
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
             near[0, rows] = guess
@@ -211,7 +211,7 @@ class OnnxEngine:
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
-        given = self._all(
+        given = self._pad_points(
             start=start[None],
             found=found.points,
             found_covariance=found.covariance,
@@ -237,13 +237,13 @@ class OnnxEngine:
         return self._supports[name]
 
     def neighbours(self, start: Array) -> dict[str, Array]:
-        near = find_neighbours(self._all(start=start[None])["start"][0], WARP_GAUGE_PX)
+        near = find_neighbours(self._pad_points(start=start[None])["start"][0], WARP_GAUGE_PX)
         number, x, y, within = (one[None, :, : self.points] for one in near)
         offset = np.stack((x, y), axis=-1)
         return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
 
     def outliers(self, neighbours: dict[str, Array], start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        given = self._all(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
+        given = self._pad_points(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
         judged = self._sessions["outliers"]({**neighbours, **given})
         return judged["off_neighbours"][:, : len(start)], judged["uncertain"][:, : len(start)]
 
@@ -263,7 +263,7 @@ class OnnxEngine:
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
         if variance is not None:
             raise ValueError("the graphs of a bundle fit without variances")
-        given = self._all(reference=points[None], displacement=values, queries=queries[None])
+        given = self._pad_points(reference=points[None], displacement=values, queries=queries[None])
         given["gauge_length"] = np.array([gauge], np.float32)
         return Fit(self._sessions["fit"](given)["gradient"][:, : len(queries)], None)
 
@@ -278,9 +278,9 @@ class OnnxEngine:
         if covariance is not None:
             raise ValueError("the graphs of a bundle give fields without deviations")
         count = len(reference)
-        given = self._all(reference=reference[None], displacement=displacement)
+        given = self._pad_points(reference=reference[None], displacement=displacement)
         if entered is not None:
-            given |= self._all(among=entered.among, gradient=entered.gradient)
+            given |= self._pad_points(among=entered.among, gradient=entered.gradient)
         given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
         found = self._sessions["fields" if entered is None else "fields_entered"](given)
         of_points = {name: found[name][:, :count] for name in ("divergence", "curl", "strain", "shear")}
@@ -299,8 +299,8 @@ class OnnxEngine:
             parts.append(session({**shared, **{key: filled(one, self._few, axis=1) for key, one in some.items()}}))
         return {key: np.concatenate([part[key] for part in parts], axis=1)[:, :count] for key in parts[0]}
 
-    def _all(self, **given: Array) -> dict[str, Array]:
-        """Pad arrays (1, n, ...) to all N points of the ONNX graphs: with NaN, or 0 for integers.
+    def _pad_points(self, **given: Array) -> dict[str, Array]:
+        """Pad arrays (1, n, ...) to the N points for which the ONNX graphs were exported, with NaN, or 0 for integers.
 
         Raises:
             FingerflowError: one has more points.

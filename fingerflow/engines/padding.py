@@ -1,4 +1,7 @@
-"""Padding of arrays to equal numbers of points, with NaN, or 0 for integers, so that recordings can be stacked."""
+"""Padding of arrays to equal numbers of points, so that recordings can be stacked.
+
+Added points are NaN, or 0 in integer arrays.
+"""
 
 from __future__ import annotations
 

@@ -10,16 +10,16 @@ from fingerflow.engines.engine import Array, FoundPoints
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, TrackStatus
 
 
-class Course(NamedTuple):
-    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, and True (N,) if found."""
+class MotionState(NamedTuple):
+    """Motion of N points at a frame: positions (N, 2) px, speeds (N, 2) px per frame, mask (N,) of found points."""
 
     place: Array
     speed: Array
     seen: Array
 
     @classmethod
-    def begin(cls, place: Array, speed: Array) -> Course:
-        """Begin a prediction: return the motion before the first frame, with all points found."""
+    def begin(cls, place: Array, speed: Array) -> MotionState:
+        """Return the motion before the first frame, given positions and speeds; all points count as found."""
         return cls(place, speed, np.ones(len(place), bool))
 
     def expect(self) -> Array:
@@ -27,9 +27,8 @@ class Course(NamedTuple):
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
-    def see(self, found: FoundPoints) -> Course:
-        """Return the motion after one more frame, in which the tracker has seen the points at the positions `found` (1,
-        N).
+    def see(self, found: FoundPoints) -> MotionState:
+        """Return the motion after one more frame, given the tracking result `found` (1, N) of that frame.
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is
@@ -39,4 +38,6 @@ class Course(NamedTuple):
         missed = np.where((tracked & self.seen)[:, None], found.estimate[0] - guess, np.float32(0))
         lasting = np.where(tracked, np.float32(1), np.float32(1 - 1 / SPEED_FRAMES))[:, None]
         place = np.where(tracked[:, None], found.estimate[0], guess)
-        return Course(place, (self.speed * lasting + np.float32(SPEED_WEIGHT) * missed).astype(np.float32), tracked)
+        return MotionState(
+            place, (self.speed * lasting + np.float32(SPEED_WEIGHT) * missed).astype(np.float32), tracked
+        )

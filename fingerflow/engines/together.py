@@ -24,7 +24,7 @@ _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "thres
 
 
 class Call(NamedTuple):
-    """Engine call that may be batched with calls of other recordings: a method and positional arguments."""
+    """Engine call, stored as method and arguments so that it may be batched with calls of other recordings."""
 
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -35,7 +35,7 @@ Steps = Generator[Call, Any, T]
 
 
 @runtime_checkable
-class Joining(Protocol):
+class BatchingEngine(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
@@ -93,7 +93,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
         for place, steps in enumerate(many):
             go_on(place, partial(next, steps))
         while waiting:
-            for place, answer, error in _answers(_next_group(waiting)):
+            for place, answer, error in _compute_group(_next_group(waiting)):
                 steps = many[place]
                 go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
                 del answer, error  # frees their memory before the next recording continues
@@ -103,27 +103,30 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
-    """Remove the next group of calls to be batched (the kind first in `_ORDER`), and return it by recording."""
+    """Remove from `waiting` the next calls that can be computed in one batch, and return them by recording.
+
+    The method that comes first in `_ORDER` is computed first.
+    """
 
     def turn(place: int) -> tuple[int, int]:
         return _ORDER.index(waiting[place].method.__name__), place
 
     first = waiting[min(waiting, key=turn)]
-    kind = _kind(first)
-    return {place: waiting.pop(place) for place in sorted(waiting) if _kind(waiting[place]) == kind}
+    kind = _batch_key(first)
+    return {place: waiting.pop(place) for place in sorted(waiting) if _batch_key(waiting[place]) == kind}
 
 
-def _kind(call: Call) -> object:
-    """Return the kind of a call: calls of equal kind are computed in one batch."""
+def _batch_key(call: Call) -> object:
+    """Return a key of the call: calls with equal keys are computed in one batch."""
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
-    return call.method.__name__, engine.kind() if isinstance(engine, Joining) else id(engine)
+    return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 
-def _answers(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Yield the answers to a group of calls: recording, result and error, from one batch if the engine supports it."""
+def _compute_group(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
+    """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each."""
     first = next(iter(group.values())).method
     engine = first.__self__  # type: ignore[attr-defined]
-    if len(group) > 1 and isinstance(engine, Joining):
+    if len(group) > 1 and isinstance(engine, BatchingEngine):
         try:
             results = engine.joined(first.__name__, [call.arguments for call in group.values()])
         except Exception as error:  # calling one by one shows to which recording it belongs

@@ -15,7 +15,7 @@ from torch.nn import functional
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.engine import Array, EngineSettings
 from fingerflow.engines.padding import filled, parts, stacked
-from fingerflow.engines.prediction import Course
+from fingerflow.engines.prediction import MotionState
 from fingerflow.graphs import (
     ContactGraph,
     DeformationGraph,
@@ -194,8 +194,8 @@ class TorchEngine:
     def kind(self) -> object:
         """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
 
-        See `together.Joining`. With compiled kernels no calls are joined: it would not be faster, and results of a
-        recording stay independent of the others.
+        See `together.BatchingEngine`. With compiled kernels no calls are joined: it would not be faster, and results of
+        a recording stay independent of the others.
         """
         compiled = self._device.type == "cpu" and kernels.serve()
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
@@ -204,43 +204,43 @@ class TorchEngine:
         """Compute one method for several recordings, in one batch for each image size and dtype."""
         alike: dict[Any, list[int]] = {}
         for place, one in enumerate(many):
-            alike.setdefault(tuple(map(_size, one)), []).append(place)
+            alike.setdefault(tuple(map(_batch_key, one)), []).append(place)
         results: dict[int, Any] = {}
         for places in alike.values():
             results |= zip(places, getattr(self, f"_{method}_of")([many[place] for place in places]), strict=True)
         return [results[place] for place in range(len(many))]
 
     def _contact_of(self, many: _Many) -> list[arrays.FrameContact]:
-        images, light, black = self._lit([(images, light) for images, light, _ in many])
+        images, light, black = self._join_light([(images, light) for images, light, _ in many])
         limit = 1 - self._tensor(np.concatenate([threshold for *_, threshold in many]), torch.float32)
         found = [_array(one) for one in self._contact(images, light, black, limit)]
         return [arrays.FrameContact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
 
     def _threshold_of(self, many: _Many) -> list[Array]:
-        found = _array(self._contact.threshold(*self._lit(many)))
+        found = _array(self._contact.threshold(*self._join_light(many)))
         return [found[frames] for frames in parts(len(images) for images, _ in many)]
 
-    def _lit(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
-        """Concatenate the frames of several recordings, and the light and black level that belong to each frame.
+    def _join_light(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the frames of several recordings as one batch, with the light and the black level of each frame.
 
-        Light and black of a single recording stay (1, ...).
+        Light and black level of a single recording stay (1, ...).
         """
         if len(many) == 1:
             images, light = many[0]
             return images, light.light, light.black
         both = [[one.expand(len(images), -1, -1, -1) for one in light] for images, light in many]
         light, black = (torch.cat(one) for one in zip(*both, strict=True))
-        return _in_a_row([images for images, _ in many]), light, black
+        return _concatenate_frames([images for images, _ in many]), light, black
 
     def _noise_of(self, many: _Many) -> list[float]:
-        found: list[float] = estimate_noise(_in_a_row([image for (image,) in many])).tolist()
+        found: list[float] = estimate_noise(_concatenate_frames([image for (image,) in many])).tolist()
         return found
 
     def _prepare_of(self, many: _Many) -> list[_TorchTemplates]:
         keys, points, warps = zip(*many, strict=True)
         warp = None if warps[0] is None else self._tensor(stacked(warps))
         noise = self._tensor(np.array([key.noise for key in keys], np.float32))
-        images = _in_a_row([key.image for key in keys])
+        images = _concatenate_frames([key.image for key in keys])
         templates = self._key(images, self._tensor(stacked(points)), noise, warp)
         return [
             _TorchTemplates(Templates._make(one[k : k + 1, : len(own)] for one in templates))
@@ -253,10 +253,10 @@ class TorchEngine:
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
-        courses = [Course.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
+        courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
-            image = _in_a_row([one[min(k, len(one) - 1)][None] for one in images])
+            image = _concatenate_frames([one[min(k, len(one) - 1)][None] for one in images])
             guess = self._tensor(courses[k].expect().reshape(*size, 2))
             look = partial(self._look, image)
             found = [_array(one) for one in in_rounds(look, templates, guess, ROUNDS)]
@@ -271,7 +271,7 @@ class TorchEngine:
         return results
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
-        """Stack the templates of B recordings, all or those with indices `rows`, to templates of B x N points."""
+        """Return the templates of B recordings, all or those with indices `rows`, padded and stacked."""
         every = [
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
             for one, some in zip(held, rows, strict=True)
@@ -289,8 +289,8 @@ class TorchEngine:
     def _correct_of(self, many: _Many) -> list[arrays.Corrected]:
         starts, founds, numbers, inverses = zip(*many, strict=True)
         counts = [len(one) for one in starts]
-        own, found = self._frame_by_frame(founds)
-        known = [self._of_frames(one, own) for one in (starts, numbers, inverses)]
+        own, found = self._join_found(founds)
+        known = [self._repeat_for_frames(one, own) for one in (starts, numbers, inverses)]
         corrected, *others = self._deformation(known[0], Found(*map(self._tensor, found)), *known[1:])
         every = [*map(_array, corrected)], [*map(_array, others)]
         return [
@@ -303,7 +303,7 @@ class TorchEngine:
     def _outliers_of(self, many: _Many) -> list[tuple[Array, Array]]:
         neighbours, starts, founds = zip(*many, strict=True)
         counts = [len(one) for one in starts]
-        own, found = self._frame_by_frame(founds)
+        own, found = self._join_found(founds)
         if own is None:
             near = neighbours[0]
         else:
@@ -318,15 +318,15 @@ class TorchEngine:
             ]
             near = Neighbours(*(torch.cat(one)[own] for one in zip(*filled_up, strict=True)))
         deviation = self._tensor(np.sqrt(found.variance))
-        judged = self._agreement(near, self._of_frames(starts, own), self._tensor(found.points), deviation)
+        judged = self._agreement(near, self._repeat_for_frames(starts, own), self._tensor(found.points), deviation)
         off, uncertain = map(_array, judged)
         return [
             (off[k, :count], uncertain[k, :count])
             for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
         ]
 
-    def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Concatenate points found in frames of several recordings; return the recording of each frame, and the points.
+    def _join_found(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
+        """Return the recording index of each frame, and the points found in the frames of all recordings, concatenated.
 
         The first result is None for a single recording.
         """
@@ -338,8 +338,11 @@ class TorchEngine:
         frames = [len(one.status) for one in founds]
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
-    def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Repeat the values (N, ...) of each recording for each of its frames; (1, N, ...) for a single recording."""
+    def _repeat_for_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
+        """Return the values (N, ...) of recordings once for each frame; `own` is the index of each frame's recording.
+
+        The result is (1, N, ...) for a single recording.
+        """
         given = self._tensor(stacked(values))
         return given if own is None else given[own]
 
@@ -349,7 +352,7 @@ class TorchEngine:
         number = np.concatenate([one + some.start for one, some in zip(numbers, frames, strict=True)])
         place, warp = (self._tensor(np.concatenate(one)) for one in (places, warps))
         window = self.settings.window_px
-        found = _array(sample_windows(_in_a_row(images), self._tensor(number), place, warp, window, steps[0]))
+        found = _array(sample_windows(_concatenate_frames(images), self._tensor(number), place, warp, window, steps[0]))
         return [found[some] for some in parts(len(one) for one in places)]
 
 
@@ -364,12 +367,12 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
     elif frames.dtype == np.float64:
         frames = frames.astype(np.float32)
     elif not frames.flags.writeable:
-        frames = np.asarray(_Lent(frames))
+        frames = np.asarray(_DeclaredWritable(frames))
     return torch.from_numpy(frames)[:, None].to(device)
 
 
-class _Lent:
-    """Wrapper that lends read-only memory, such as a memory map, to torch by declaring the memory writable.
+class _DeclaredWritable:
+    """Wrapper that declares a read-only array, such as a memory map, writable, so that torch does not warn of it.
 
     Torch warns of read-only arrays, and engines only read.
     """
@@ -380,19 +383,19 @@ class _Lent:
         self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
 
 
-def _in_a_row(images: Sequence[Tensor]) -> Tensor:
+def _concatenate_frames(images: Sequence[Tensor]) -> Tensor:
     """Concatenate the frames of several recordings to one batch."""
     return images[0] if len(images) == 1 else torch.cat(list(images))
 
 
-def _size(argument: Any) -> object:
-    """Return the size and dtype of an argument as a key: calls with equal keys can be computed in one batch."""
+def _batch_key(argument: Any) -> object:
+    """Return a key of an argument, from its size and dtype: calls with equal keys can be computed in one batch."""
     if isinstance(argument, Tensor):
         return argument.dtype, argument.shape[1:]
     if isinstance(argument, arrays.GlassLight):
-        return _size(argument.light)
+        return _batch_key(argument.light)
     if isinstance(argument, arrays.KeyFrame):
-        return _size(argument.image)
+        return _batch_key(argument.image)
     if isinstance(argument, Neighbours):
         return argument.number.shape[1]
     return argument if isinstance(argument, int) else argument is None

@@ -1,4 +1,4 @@
-"""Arguments of a graph call as a flat list of tensors and settings, with names and axes of points."""
+"""Arguments of a graph call, flattened to a list of tensors and settings."""
 
 import inspect
 from collections.abc import Mapping, Sequence

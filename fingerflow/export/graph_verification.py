@@ -134,7 +134,7 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
 
 
 def _absent(expected: NDArray[Any], found: NDArray[Any]) -> float:
-    """Return the share of expected corners (B, N, 2) that were not found, less the 1 % that is tolerated."""
+    """Return the share of expected corners (B, N, 2) that were not found, minus a tolerance of 1 %."""
     known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
     absent = len(known[0] - known[1]) / max(1, len(known[0]))
     return max(0.0, absent - _MOST_FLIPS)

@@ -1,4 +1,4 @@
-"""Choice of the portable implementation of every op, the implementation that is exported to ONNX."""
+"""Torch mode that selects the portable implementation of every op, which can be exported to ONNX."""
 
 from typing import Any
 

@@ -41,7 +41,7 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """Settings [contact] of a recipe: those of a scene file, and whether the contact mask is an output."""
+    """Settings [contact] of a recipe: settings as in a scene file, and whether the contact mask is an output."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
     gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8

@@ -1,11 +1,13 @@
 """Execution of torch modules by ONNX Runtime, through the unchanged interface of these modules."""
 
+import contextlib
 import functools
 import hashlib
 import inspect
 import json
 import logging
 import os
+import stat
 import tempfile
 import time
 import warnings
@@ -168,7 +170,7 @@ class _Executed:
 
 
 def _room(points: int) -> int:
-    """Return the number of points, a power of 2, to which tensors of `points` points are padded; 0 for none."""
+    """Return the power of 2 to which a number of points is padded; 0 for 0 points."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
@@ -191,11 +193,21 @@ class _Leaves(nn.Module):
 
 
 def _own_folder() -> Path:
-    """Return the user's cache folder for graphs, or a new temporary folder if that one belongs to another user."""
+    """Return the user's cache folder for graphs, or a new temporary folder if others may have put files there."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder if folder.stat().st_uid in (user, 0) else Path(tempfile.mkdtemp(prefix=folder.name))
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    return folder if _is_private(folder) else Path(tempfile.mkdtemp(prefix=folder.name))
+
+
+def _is_private(folder: Path) -> bool:
+    """Return whether a path is a folder, no link, of this user, that no other user may write to."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return False
+    # Temporary folders of Windows belong to one user.
+    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
 
 
 @functools.cache

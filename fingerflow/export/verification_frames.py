@@ -104,7 +104,7 @@ def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
 
 
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Select the inputs of one graph by name; graphs that run on the key frame get the key view as topography view."""
+    """Select the inputs of one graph by name; graphs of the key frame get the key view as topography view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}

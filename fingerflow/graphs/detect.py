@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fingerflow.kernels.detection_limits import BOX, NOISE, QUALITY
-from fingerflow.ops.contact.cells import widest
+from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.mask_bounds import mask_bounds
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
@@ -63,17 +63,17 @@ class DetectGraph(nn.Module):
         inside = response[..., above : bottom - top - below, before : right - left - behind]
         inside = functional.pad(torch.where(finite(inside), inside, 0.0), (before, behind, above, below))
         # Maxima are sought before masking: at the edge of the mask any slope would be a maximum.
-        inside = torch.where(mask & (inside >= widest(inside)), inside, 0.0)
+        inside = torch.where(mask & (inside >= largest_around(inside)), inside, 0.0)
         strongest = inside.amax((2, 3), keepdim=True)
         limit = torch.maximum(QUALITY * strongest, NOISE * noise)
         corners = torch.where(inside > limit, inside, 0.0)
         largest = corners
         for _ in range(self.beside - 1):
-            largest = widest(largest)
+            largest = largest_around(largest)
         alone = torch.zeros_like(corners)  # px to the nearest stronger corner beyond the minimum distance
         # Larger squares are not tested: N of them do not fit into the view.
         for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
-            largest = widest(largest)
+            largest = largest_around(largest)
             alone = alone + (corners >= largest).to(alone.dtype)
         corners = torch.where(alone > 0, corners, 0.0)
         rank = torch.where(corners > 0, alone + corners / strongest.clamp_min(_TINY), 0.0)
@@ -88,7 +88,7 @@ class DetectGraph(nn.Module):
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
-    """Return how many of the pixels [first, last) lie within `edge` px of the start, and of the end, of an axis."""
+    """Return how many pixels of [first, last) lie within `edge` px of the start and of the end of an axis."""
     start = min(max(edge - first, 0), last - first)
     return start, min(max(last - (length - edge), 0), last - first - start)
 

@@ -21,7 +21,7 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Points that were advected into the contact, with displacement gradients counted from each point's entry.
+    """Points that moved into the contact (advected), with displacement gradients since each point's entry.
 
     A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
@@ -32,7 +32,7 @@ class Entered(NamedTuple):
     covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
-        """Return the entered points as `Apart`, with divergence, curl and strain computed from their gradients."""
+        """Return divergence, curl and strain of the entered points, computed from their displacement gradients."""
         first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
         fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
         std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)

@@ -7,7 +7,10 @@ from fingerflow.ops.tracking.search import search_and_return
 
 
 class SearchGraph(nn.Module):
-    """Module that searches around predicted positions and back from each match; settings as of `ops.track_points`."""
+    """Module that searches for points around predicted positions and verifies each match by a backward search.
+
+    The settings are those of `ops.track_points`.
+    """
 
     def __init__(self, window: int = 25, radius: int = 8, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
@@ -18,8 +21,7 @@ class SearchGraph(nn.Module):
     def forward(
         self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Search a view for points (B, N, 2) px of the key frame, around the predicted positions (B, N, 2) px of the
-        points.
+        """Search a view for key-frame points (B, N, 2) px around predicted positions, and verify each match.
 
         Views are (B, 1, H, W).
 

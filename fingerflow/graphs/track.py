@@ -63,7 +63,7 @@ class DeformationGraph(nn.Module):
 
 
 class AgreementGraph(nn.Module):
-    """Module that detects outliers: points that disagree with their neighbours, or are far less certain."""
+    """Module that detects outliers: points that disagree with their neighbours, or have a far larger uncertainty."""
 
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 

@@ -40,7 +40,7 @@ def kind(array: Shaped) -> str:
 
 
 def empty(like: Array, kind: str, *shape: int) -> Array:
-    """Return an uninitialised array of the library (NumPy or torch) and device of the array `like`."""
+    """Return an uninitialised array, of the same library (NumPy or torch) and device as the array `like`."""
     given: Any = like
     if isinstance(given, np.ndarray):
         made: Any = np.empty(shape, kind)
@@ -50,7 +50,7 @@ def empty(like: Array, kind: str, *shape: int) -> Array:
 
 
 def zeros(like: Array, kind: str, *shape: int) -> Array:
-    """Return an array of zeros of the library (NumPy or torch) and device of the array `like`."""
+    """Return an array of zeros, of the same library (NumPy or torch) and device as the array `like`."""
     made: Any = empty(like, kind, *shape)
     made[...] = 0
     return cast(Array, made)
@@ -153,7 +153,7 @@ def _by_layout(array: NDArray[Any]) -> int:
 
 
 def _layout_is_known() -> bool:
-    """Check that NumPy arrays have the C structure that `_by_layout` assumes."""
+    """Return whether NumPy arrays have the C structure that `_by_layout` assumes."""
     example = np.zeros(3)
     return sys.implementation.name == "cpython" and all(
         _by_layout(one) == _by_interface(one) for one in (example, example[1:])

@@ -1,4 +1,4 @@
-"""Checks of the arrays passed to kernels, and conversion of these arrays to kernel arguments."""
+"""Check the arrays passed to kernels, and convert them to kernel arguments."""
 
 from fingerflow.kernels.arrays import (
     KINDS,
@@ -30,13 +30,13 @@ def check_axes(name: str, array: Shaped, count: int) -> None:
 
 
 def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError if an array has another dtype or shape than required."""
+    """Raise ValueError unless an array has the dtype `of` and the given shape."""
     if KINDS[array.dtype] != of or array.shape != shape:
         raise ValueError(f"{name} is {kind(array)} {tuple(array.shape)}: {of} {shape} is needed")
 
 
 def checked(name: str, array: Array, of: str, shape: tuple[int, ...]) -> Array:
-    """Check the dtype and shape of an array, and return a contiguous array.
+    """Check the dtype and shape of an array, and return the array, copied if it is not contiguous.
 
     Raises:
         ValueError: wrong dtype or shape.
@@ -74,7 +74,7 @@ def described(frames: Array) -> dict[str, Array | int]:
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Check frames, `light` and `black` images; return the fields of the C structure `fingerflow_lit_frames`.
+    """Check frames, their light and black level; return the fields of the C structure `fingerflow_lit_frames`.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.

@@ -49,7 +49,10 @@ def median(frames: Array, size: int) -> Array:
 
 @functools.cache
 def table_of(size: int) -> NDArray[np.uint16] | None:
-    """Return the instruction table of the median filter for windows of `size`; None for compiled-in sizes and for 1."""
+    """Return the median filter's instruction table for windows of `size`; None if no table is needed.
+
+    No table is needed for size 1 and for sizes with a compiled program.
+    """
     return None if size == 1 or size in COMPILED_SIZES else np.array(median_table(size), np.uint16)
 
 
@@ -86,10 +89,10 @@ def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> A
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Divide frames by the empty glass, as `ops.filters.illumination`; return quotients and a mask of known pixels.
+    """Divide frames by the light of the empty glass; return the quotients and a mask of the pixels with a quotient.
 
-    Both are (B, 1, H, W). Frames are of FRAME_KINDS, `light` and `black` as for `real_contact_mask`. A pixel is lit if
-    its light exceeds `least`, float32, one per image of light.
+    Both are (B, 1, H, W), as in `ops.filters.illumination`. Frames are of FRAME_KINDS, `light` and `black` as for
+    `real_contact_mask`. A pixel is lit if its light exceeds `least`, float32, one per image of light.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.
@@ -145,7 +148,7 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
-    """Compute the apparent contact from a mask of real contact (B, 1, H, W) bool, on cells of `side` px.
+    """Compute density margin and size of the apparent contact from a mask of real contact (B, 1, H, W) bool.
 
     The method is that of `ops.contact.apparent_contact`. The results are float32: the signed density margin (B, 1, h,
     w), and (B, 7) covered pixels, area, centre, semi axes and angle. `side` is one of CELLS.

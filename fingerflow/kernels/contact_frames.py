@@ -1,4 +1,4 @@
-"""Kernels that compute the contact of whole frames, with one call for each task, on NumPy arrays."""
+"""Kernels for the contact of whole frames, on NumPy arrays: segmentation, threshold, and points in contact."""
 
 from typing import Any, NamedTuple
 

@@ -11,7 +11,7 @@ _LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 
 
 def cell_of(radius: int) -> int:
-    """Return the side in px of the cells of the apparent contact: 4, or less for a fine skin pattern."""
+    """Return the side in px of the cells of the apparent contact: 4 px, less for fine skin patterns."""
     return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 

@@ -1,4 +1,4 @@
-"""Declarations of `interface.h`: the packed arguments of each function, and a digest of the interface.
+"""Parser of `interface.h`: packed arguments of each compiled function, and a hash of the interface.
 
 Only the standard library is imported, as the build of the library reads the header by this file too.
 """
@@ -15,14 +15,14 @@ _SHARED = ("tracking_limits.py", "median_network.py", "median_rows.py")
 
 
 class Field(NamedTuple):
-    """Name of a number or an address, and its code in the format of `struct` (P for an address)."""
+    """Argument of a compiled function: name, and format code of `struct` (P for an address)."""
 
     name: str
     code: str
 
 
 class Function(NamedTuple):
-    """Packed fields of a function in their order, those of its structures included, and their format."""
+    """Arguments of a compiled function in packing order, with the fields of structures, and their `struct` format."""
 
     fields: tuple[Field, ...]
     format: str
@@ -51,7 +51,7 @@ def read(header: str) -> dict[str, Function]:
 
 
 def digest(header: str) -> str:
-    """Return a digest of the declarations and shared constants; the library is used only if its own is equal."""
+    """Return a hash of the declarations and shared constants; a library built with another hash is not used."""
     shared = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SHARED]
     declared = [f"{name} {function.format} {function.fields}" for name, function in read(header).items()]
     return hashlib.sha256("\n".join((*declared, *shared)).encode()).hexdigest()[:16]
@@ -71,7 +71,7 @@ def _members(line: str, structures: dict[str, list[Field]]) -> list[Field]:
 
 
 def _argument(text: str, structures: dict[str, list[Field]]) -> list[Field]:
-    """Return the fields of an argument: one, or those of the structure to which it points."""
+    """Return the fields of an argument; a pointer to a structure gives the fields of the structure."""
     kind, pointer, name = _parsed(text)
     if pointer and kind in structures:
         return structures[kind]
@@ -79,7 +79,7 @@ def _argument(text: str, structures: dict[str, list[Field]]) -> list[Field]:
 
 
 def _parsed(text: str) -> tuple[str, bool, str]:
-    """Return the kind of one declaration, whether it is an address, and its name."""
+    """Split a declaration into number type, whether it is an address, and name."""
     found = re.fullmatch(r"\s*(?:const )?(?:unsigned )?([\w:]+)\s*(\*?)\s*(\w+)\s*", text)
     if found is None:
         raise ValueError(f"interface.h declares {text.strip()!r}: a kind, perhaps *, and a name are expected")
@@ -87,7 +87,7 @@ def _parsed(text: str) -> tuple[str, bool, str]:
 
 
 def _code(kind: str, where: str) -> str:
-    """Return the code of a kind of number in the format of `struct`."""
+    """Return the format code of `struct` for a number type of C++."""
     if kind not in _CODES:
         raise ValueError(f"interface.h declares {where.strip()!r}: of numbers there are {sorted(_CODES)}")
     return _CODES[kind]

@@ -1,4 +1,4 @@
-"""Requirements for valid local fits and area medians, and the names of the strain measures."""
+"""Limits for valid local fits and area medians, and names of the strain measures."""
 
 import functools
 import math

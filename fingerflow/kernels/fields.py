@@ -14,7 +14,7 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """Results of local plane fits, defined as in `ops.fields.local_fit.LocalFit`."""
+    """Planes fitted locally to scattered values, with the attributes of `ops.fields.local_fit.LocalFit`."""
 
     value: Array
     gradient: Array
@@ -102,7 +102,7 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute medians of float32 fields over ellipses, as `ops.fields.area_medians` up to rounding.
+    """Compute medians of divergence, curl and strain over ellipses, as `ops.fields.area_medians` up to rounding.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.

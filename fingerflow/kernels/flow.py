@@ -30,7 +30,7 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
-    """Fields of the first of two images, from which the dense optical flow between them is computed."""
+    """Fields computed from the first of two images, as needed for the dense optical flow between them."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
     gradient: Array  # (B, 2, H, W), 0 outside the mask
@@ -41,8 +41,8 @@ class FlowFields(NamedTuple, Generic[Array]):
     down: Array  # (B, 1, h - 1, w) and of the column
 
 
-class Left(NamedTuple, Generic[Array]):
-    """Residual left by a flow: means over cells of what displacement and illumination do not explain."""
+class FlowResidual(NamedTuple, Generic[Array]):
+    """Residual of a flow: cell means of the image difference that displacement and illumination do not explain."""
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -50,10 +50,10 @@ class Left(NamedTuple, Generic[Array]):
     gain: Array  # (B, 1, 1, 1)
 
 
-def _computed(
+def _run_kernel(
     name: str, given: Mapping[str, tuple[Array, tuple[int, ...]]], made: Mapping[str, tuple[int, ...]], **others: Any
 ) -> list[Array]:
-    """Run a kernel on float32 arrays and return float32 results.
+    """Check float32 arrays, run a kernel on them, and return its results as new float32 arrays.
 
     Args:
         name: of the kernel.
@@ -72,7 +72,7 @@ def _computed(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return the kernel arguments batch, height and width of images (B, 1, H, W), and shapes of image and cell grid."""
+    """Return the size arguments for images (B, 1, H, W), and the shapes of the image and of the cell grid."""
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 
@@ -82,7 +82,7 @@ def _cells(height: int, width: int) -> tuple[int, int]:
 
 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
-    """Return a symmetric window as kernel arguments: the weights from the middle on; raise ValueError if asymmetric."""
+    """Return half of the weights of a symmetric window, for a kernel; raise ValueError if it is asymmetric."""
     if len(weights) % 2 == 0 or any(one != other for one, other in zip(weights, reversed(weights), strict=True)):
         raise ValueError(f"weights {list(weights)}: give an odd number, the same before the middle as after it")
     half = len(weights) // 2
@@ -90,9 +90,9 @@ def _window(weights: Sequence[float]) -> dict[str, Any]:
 
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
-    """Return the shapes of the five planes of each of `count` multigrid levels; the finest is (height, width).
+    """Return the shapes of the five arrays of each of `count` multigrid levels; the finest has height x width cells.
 
-    The planes are tensor, right, down, inverse and inside.
+    The arrays (planes) are tensor, right, down, inverse and inside.
     """
     levels: list[list[tuple[int, ...]]] = []
     for _ in range(count):
@@ -118,7 +118,7 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Compute the flow (B, 2, H, W) by multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
+    """Improve a flow (B, 2, H, W) by multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
@@ -132,7 +132,7 @@ def flow_descend(
         for plane, shape in zip(planes, itertools.chain.from_iterable(shapes), strict=True)
     ]
     addresses = [address(plane) if values_are_known() else 0 for plane in kept]
-    [moved] = _computed(
+    [moved] = _run_kernel(
         "flow_descend",
         {
             "pull": (pull, (batch, 2, height, width)),
@@ -195,7 +195,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
     """
     sizes, size, _ = _sizes(tensor)
     of_image = (sizes["batch"],)
-    [covariance] = _computed(
+    [covariance] = _run_kernel(
         "flow_covariance",
         {
             "tensor": (tensor, (*of_image, 3, *size)),
@@ -211,13 +211,13 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Compute the fields of the first of two images for dense flow, as `ops.flow.dense_flow`.
+    """Compute the fields of the first image that dense flow needs, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """
     sizes, size, (rows, columns) = _sizes(coefficients)
     batch = sizes["batch"]
-    fields = _computed(
+    fields = _run_kernel(
         "flow_template",
         {"coefficients": (coefficients, (batch, 1, *size)), "mask": (mask, (batch, 1, *size))},
         {
@@ -244,15 +244,15 @@ def flow_left(
     known: Array,
     margin: float,
     most_gain: float,
-) -> Left[Array]:
-    """Compute the residual that a flow leaves unexplained, on cells, as `ops.flow.dense_flow`.
+) -> FlowResidual[Array]:
+    """Compute the residual of a flow, averaged over cells, as `ops.flow.dense_flow`.
 
     `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
     (B, ., h, w) lie on cells.
     """
     sizes, size, cells = _sizes(coefficients)
     batch = sizes["batch"]
-    left = _computed(
+    left = _run_kernel(
         "flow_left",
         {
             "coefficients": (coefficients, (batch, 1, *size)),
@@ -272,7 +272,7 @@ def flow_left(
         most_gain=most_gain,
         **sizes,
     )
-    return Left(*left)
+    return FlowResidual(*left)
 
 
 def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
@@ -281,7 +281,7 @@ def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
     Fields are 0 beyond the border. `weights` are an odd number, symmetric about the middle.
     """
     batch, channels, height, width = fields.shape
-    [integrated] = _computed(
+    [integrated] = _run_kernel(
         "flow_integrate",
         {"fields": (fields, fields.shape)},
         {"integrated": fields.shape},
@@ -300,7 +300,7 @@ def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
     """
     check_axes("known", known, 4)
     batch, cells = known.shape[0], _cells(height, width)
-    [pixels] = _computed(
+    [pixels] = _run_kernel(
         "flow_to_pixels",
         {"flow": (flow, (batch, 2, *cells)), "known": (known, (batch, 1, *cells))},
         {"pixels": (batch, 2, height, width)},
@@ -321,7 +321,7 @@ def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> t
     """
     sizes, size, cells = _sizes(inside)
     batch = sizes["batch"]
-    displacement, covariance, residual = _computed(
+    displacement, covariance, residual = _run_kernel(
         "flow_at_pixels",
         {
             "flow": (flow, (batch, 2, *cells)),

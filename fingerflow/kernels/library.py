@@ -26,13 +26,13 @@ _OF_ANY_SIGN = {"most", "piece"}  # whole numbers of entries for tests that may 
 _log = logging.getLogger(__name__)
 
 
-class _Here(threading.local):
-    """Per-thread state: whether the kernels called by the thread only allocate results."""
+class _ThreadState(threading.local):
+    """State of one thread: whether kernels that the thread calls compute results, or only allocate them."""
 
     shapes_only = False
 
 
-_here = _Here()
+_here = _ThreadState()
 
 
 class Entry:
@@ -104,17 +104,17 @@ class Entry:
         for (name, code), value in zip(self._fields, values, strict=True):
             said = f"kernel {self._name}: {name} is {value!r}: give "
             if code not in _WHOLE:
-                if code != "P" and not _packs(code, value):
+                if code != "P" and not _fits_format(code, value):
                     raise (ValueError if isinstance(value, int | float) else TypeError)(
                         f"{said}a number, not too large"
                     )
-            elif not _packs(code, value) or (value < 0 and name not in _OF_ANY_SIGN):
+            elif not _fits_format(code, value) or (value < 0 and name not in _OF_ANY_SIGN):
                 words = f"{said}a whole number from 0 to 2^{8 * struct.calcsize(code) - 1} - 1"
                 raise (ValueError if hasattr(value, "__index__") else TypeError)(words)
         raise ValueError(f"kernel {self._name} cannot be called with {values}")
 
 
-def _packs(code: str, value: Any) -> bool:
+def _fits_format(code: str, value: Any) -> bool:
     """Return whether a value fits a format code of `struct`."""
     try:
         struct.pack(code, value)
@@ -146,7 +146,7 @@ def shapes_only() -> Iterator[None]:
 
 
 def values_are_known() -> bool:
-    """Return whether checks may read the values of arrays: not within `shapes_only`."""
+    """Return whether checks may read the values of arrays; within `shapes_only` values are not computed."""
     return not _here.shapes_only
 
 
@@ -161,7 +161,7 @@ def limit_instruction_set(most: int) -> int:
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """Make parts of the kernels' work fail from now on, for tests; `fault` 0 ends this.
+    """Make parts of the kernels' work fail, for tests; `fault` 0 restores normal operation.
 
     Faults are numbered as in kernels/parallel.h.
     """

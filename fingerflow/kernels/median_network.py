@@ -1,4 +1,4 @@
-"""Programs of minima and maxima that compute the median of every window, shared between neighbouring windows.
+"""Median filter as a program of minima and maxima, which neighbouring windows share.
 
 A frame is cut into tiles of a few pixels. The windows of one tile have a core of pixels in common: it is sorted once,
 then the tile is halved again and again, and each half merges the few rows or columns that its own windows share on top
@@ -21,7 +21,10 @@ Operation = Literal["minimum", "maximum"]
 
 
 class Operand(NamedTuple):
-    """Plane that is read `rows` tiles further down and `columns` further right; -1 and -2 are the bounds below."""
+    """Plane that is read with a shift by `rows` tiles down and `columns` tiles right.
+
+    The planes -1 and -2 are the bounds LOWEST and HIGHEST.
+    """
 
     plane: int
     rows: int
@@ -34,7 +37,9 @@ HIGHEST = Operand(-2, 0, 0)
 
 
 class Step(NamedTuple):
-    """Comparison: plane `result` = operation(`left`, `right` read from `rows`, `columns` tiles further on).
+    """Step of a program: plane `result` is the minimum or maximum of the planes `left` and `right`.
+
+    The plane `right` is read with a shift by `rows` and `columns` tiles.
 
     The shift is never backwards in reading order (row first), so a plane can be kept as one flat array.
     """
@@ -63,13 +68,13 @@ class MedianProgram(NamedTuple):
 
     @property
     def reach(self) -> tuple[int, int]:
-        """Return how many tiles down and right of a tile are read."""
+        """Return how far beyond a tile its program reads, in tiles down and right."""
         rows, columns = self.tile
         return (rows + self.size - 2) // rows, (columns + self.size - 2) // columns
 
     @property
     def operations_per_pixel(self) -> float:
-        """Return the number of minima and maxima a pixel."""
+        """Return the number of minima and maxima per pixel."""
         return len(self.steps) / (self.tile[0] * self.tile[1])
 
 
@@ -92,7 +97,10 @@ def median_program(size: int) -> MedianProgram:
 
 
 def tile_program(size: int, order: str) -> MedianProgram:
-    """Return the program of tiles that are halved along these axes: "y" has tiles of 2 x 1 px, "yyx" of 4 x 2."""
+    """Return the program for tiles of a size given by `order`: "y" for 2 x 1 px, "yyx" for 4 x 2 px.
+
+    The letters are the axes along which a tile is halved in turn.
+    """
     tile = 2 ** order.count("y"), 2 ** order.count("x")
     windows = _Windows(size, tile)
     windows.halve(0, 0, *tile, windows.block(*windows.core(0, 0, *tile)), order)
@@ -102,7 +110,7 @@ def tile_program(size: int, order: str) -> MedianProgram:
 
 @functools.cache
 def join_program(size: int, first: int, second: int) -> tuple[tuple[Step, ...], tuple[Operand, ...]]:
-    """Return steps and outputs that merge the kept elements of two disjoint sets of pixels of one window.
+    """Return the program (steps, outputs) that merges the median candidates of two disjoint parts of a window.
 
     Both are ascending lists of the elements that can still be the median of a `size` x `size` window among `first` and
     `second` pixels (`kept`): planes 0, 1, ... are those of the first, then those of the second. The outputs are the
@@ -127,7 +135,7 @@ def _ranks(size: int, count: int) -> tuple[int, int]:
 
 
 class _Network:
-    """Comparisons on planes of a tile grid; equal comparisons, anywhere on the grid, share a plane."""
+    """Comparisons of planes of a tile grid; equal comparisons are computed once, in one plane."""
 
     def __init__(self, rows: int, columns: int) -> None:
         self.rows, self.columns = rows, columns
@@ -194,7 +202,7 @@ class _Windows:
         return y + rows - 1, x + columns - 1, self.size - rows + 1, self.size - columns + 1
 
     def halve(self, y: int, x: int, rows: int, columns: int, core: list[Operand], order: str) -> None:
-        """Merge the sorted core of a tile with the block that only the windows of each half share, recursively."""
+        """Halve a tile recursively, and merge its sorted core with the block that the windows of each half share."""
         if not order:
             (self.medians[y, x],) = core
             return
@@ -231,7 +239,7 @@ class _Windows:
         return self.join(self.block(*first), first[2] * first[3], self.block(*second), second[2] * second[3])
 
     def join(self, first: list[Operand], first_count: int, second: list[Operand], second_count: int) -> list[Operand]:
-        """Return the merged kept elements of two disjoint sets of `first_count` and `second_count` pixels."""
+        """Merge the median candidates of two disjoint sets of `first_count` and `second_count` pixels."""
         low, high = _ranks(self.size, first_count + second_count)
         dropped = _ranks(self.size, first_count)[0] + _ranks(self.size, second_count)[0]
         return _merge_ranks(self.network, first, second, low - dropped, high - dropped)
@@ -254,7 +262,7 @@ def _merge_ranks(network: _Network, first: list[Operand], second: list[Operand],
 
 @functools.cache
 def _cheapest_padding(first: int, second: int, low: int, high: int) -> tuple[int, int]:
-    """Return how many lowest bounds before each list make the pruned merge shortest."""
+    """Return how many LOWEST elements to put before each of two lists, so that merging takes the fewest steps."""
 
     def cost(padding: tuple[int, int]) -> int:
         network = _Network(1, first + second)
@@ -272,7 +280,7 @@ def _padded_merge(
 
 
 def _odd_even_merge(network: _Network, first: list[Operand], second: list[Operand]) -> list[Operand]:
-    """Return Batcher's merge of two ascending lists of any lengths."""
+    """Merge two ascending lists of any lengths by Batcher's odd-even merge."""
     if not first or not second:
         return first or second
     if len(first) == len(second) == 1:

@@ -1,4 +1,4 @@
-"""Order of the steps of a median program over rows of tiles, and the places of its planes.
+"""Execution of a median program row by row of tiles: order of the steps, and storage of the planes.
 
 A program of `median_network` works on whole planes. To stay in a processor's cache the compiled kernels do one row of
 tiles at a time and keep, of every plane, only the rows that are still read. A plane's *lead* is how many rows of tiles
@@ -15,14 +15,14 @@ COMPILED_SIZES = (3, 5, 7, 9, 11)
 
 
 class Read(NamedTuple):
-    """Place of an operand: `age` rows of tiles ago and `columns` tiles to the right of the reading step."""
+    """Place of an operand relative to the step that reads it: `age` rows of tiles earlier, `columns` tiles right."""
 
     age: int
     columns: int
 
 
 class RowOrder:
-    """Steps of a program in the order in which they run for a row of tiles, those that run ahead first."""
+    """Steps of a program in the order in which they run for a row of tiles: largest lead first."""
 
     def __init__(self, program: MedianProgram) -> None:
         self.program = program
@@ -40,7 +40,7 @@ class RowOrder:
         self.lines = program.tile[0] * (1 + max(self.leads[plane] for plane in self.inputs))
 
     def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
-        """Return the planes of both operands of a step, and where it reads them."""
+        """Return plane and place of both operands of a step."""
         lead = self.leads[step.result]
         return (
             (step.left, Read(self.leads[step.left] - lead, 0)),
@@ -48,11 +48,11 @@ class RowOrder:
         )
 
     def line(self, plane: int, age: int) -> int:
-        """Return the index of an input among the lines that a row of tiles reads, each line split into its columns."""
+        """Return the buffer index of an input plane as it was `age` rows of tiles earlier."""
         return (self.leads[plane] - age) * len(self.inputs) + plane
 
     def _leads(self) -> dict[int, int]:
-        """Return the lead of every plane that is needed."""
+        """Return the lead of every plane: how many rows of tiles ahead of the medians it is computed."""
         assert all((plane.rows, plane.columns) == (0, 0) for plane in self.program.outputs)
         leads = {output.plane: 0 for output in self.program.outputs}
         for step in reversed(self.program.steps):
@@ -64,7 +64,7 @@ class RowOrder:
 
 @functools.cache
 def median_table(size: int) -> tuple[int, ...]:
-    """Return the program of a size as numbers below 2^16, as `kernels/median.cpp` reads them.
+    """Return the median program for a window size as integers below 2^16, which `kernels/median.cpp` executes.
 
     A row of tiles has a list of planes: the lines of the frame, the kept rows of each kept plane from the youngest to
     the oldest, the scratch slots. A step is (kind, minimum, maximum, left, right, columns) with places in that list;
@@ -117,7 +117,7 @@ def _same_operands(order: RowOrder, first: Step, second: Step) -> bool:
 
 
 class _Slots:
-    """Scratch slots of planes that only their own row reads, free again after the last step that reads them."""
+    """Assignment of scratch memory to planes that only their own row reads; a slot is reused after the last read."""
 
     def __init__(self, order: RowOrder) -> None:
         self.order = order

@@ -2,8 +2,8 @@
 
 NEIGHBOURS = 16  # nearest neighbours with which a point is compared
 LEAST_NEIGHBOURS = 5  # below which a point is not flagged
-#: Largest disagreement of a point, in units of that of its neighbours. No true displacement in 10,000 exceeds it where
-#: the field is a plane, 2 in 1000 where it bends strongly. Of those off by 12 standard deviations 98 in 100 do.
+#: Largest disagreement of a point, relative to that of its neighbours. It is exceeded by none of 10,000 correct points
+#: in a linear field, by 2 in 1000 in a strongly curved one, and by 98 % of the points off by 12 standard deviations.
 MOST_DISAGREEMENT = 3.0
 #: Largest standard deviation of a point, in units of the (harmonic) mean of those of its neighbours.
 MOST_UNCERTAINTY = 4.0

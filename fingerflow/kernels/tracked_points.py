@@ -1,4 +1,4 @@
-"""Kernels of tracked points: seeding, forward and backward search, outliers; from and to NumPy arrays.
+"""Kernels of tracked points, on NumPy arrays: seeding, forward and backward search, outlier detection.
 
 Arrays are checked, and copied only if they are not contiguous.
 """
@@ -24,7 +24,7 @@ _ROWS = 32  # points whose distances to all others are in memory at a time
 
 
 class NeighbourLists(NamedTuple):
-    """Lists (k, P) of the k nearest neighbours of N points, nearest first.
+    """The k nearest neighbours of N points, nearest first, as arrays (k, P) padded to P points.
 
     P is the smallest multiple of 16 that is not below N.
 
@@ -140,7 +140,9 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search for windows around guessed positions, then backward, as `ops.tracking.search.search_and_return`.
+    """Search for windows around guessed positions, and verify each match by a backward search.
+
+    The method is that of `ops.tracking.search.search_and_return`.
 
     Args:
         key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.

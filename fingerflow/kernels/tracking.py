@@ -154,7 +154,7 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Registration results (B, N, ...) of points in image pairs, as `ops.tracking.templates.Found`, and `numbers`.
+    """Results (B, N, ...) of registering points in image pairs, as `ops.tracking.templates.Found`, and `numbers`.
 
     `numbers` are the template statistics of `Templates`.
     """

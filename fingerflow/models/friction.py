@@ -1,4 +1,4 @@
-"""Dahl's friction model: stiff like a spring at first, sliding at a limit (Dahl 1968; Willemet et al. 2021, eq. 7).
+"""Dahl's friction model: elastic at small displacement, then sliding (Dahl 1968; Willemet et al. 2021, eq. 7).
 
 F is the force on the body that carries the slider; the skin feels -F, against its motion. Over a distance x slid in the
 direction s = sign(dx),
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Friction(NamedTuple):
-    """Friction forces (N,) on N elements after a slide, and their derivatives by position along and above the plate."""
+    """Friction forces (N,) on N elements, with derivatives with respect to position along and above the plate."""
 
     force: Array
     along: Array

@@ -101,7 +101,7 @@ def friction_epochs(
 def _rises(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the times (s) at which a fitted sinusoidal amplitude begins to rise, and its relative |da/dt| (T,)."""
+    """Fit a sinusoid to a vibration amplitude; return the times (s) of its minima, and its relative |da/dt| (T,)."""
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]

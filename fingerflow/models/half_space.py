@@ -30,7 +30,10 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
 
 
 class Stress(NamedTuple):
-    """Stress in a half-space, in the unit of the load; tension and a pull of the upper side along -y are positive."""
+    """Stress components in a half-space, in the unit of the load; tension is positive.
+
+    The shear stress is positive where it pulls the upper side along -y.
+    """
 
     sigma_y: Tensor
     sigma_z: Tensor

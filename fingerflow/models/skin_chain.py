@@ -1,5 +1,6 @@
-"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin
-deformation model"), derived from an energy.
+"""Skin chain: elements around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement).
+
+It is derived from an energy, after the section "Skin deformation model".
 
 **Energy.** Elements i at X_i = (x, z) surround a rigid bone displaced by U; the plate is at z = 0. X_i0 is the
 undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
@@ -54,7 +55,10 @@ REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain coun
 
 @dataclass(frozen=True)
 class PressedChain:
-    """State of pressed skin chains of N elements, for every parameter set (...) and, from `follow`, T times first."""
+    """State of pressed skin chains of N elements, for every parameter set (...).
+
+    The results of `follow` have a leading axis of T times.
+    """
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
     displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
@@ -144,7 +148,7 @@ def follow(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
-    """Compute the motion of a skin chain at times (T,) under loads that are linear between them, such as a force trace.
+    """Compute the motion of a skin chain at times (T,) under a load trace that is linear between these times.
 
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
     each time, at the current positions of the elements. Raises ValueError as `press` does.
@@ -170,7 +174,7 @@ def follow(
 
 
 def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the skin chains of all parameter sets, and their undeformed state, from which a simulation begins."""
+    """Return the skin chains of all parameter sets, and their undeformed initial state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]
@@ -183,7 +187,7 @@ def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, 
 
 
 def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether motion is prescribed instead of force."""
+    """Return the loads (..., 2) along x and z, and for each direction whether the motion is prescribed."""
     load_n, tangential_n, indentation_m, slide_m = loads
     down = load_n if indentation_m is None else indentation_m
     along = tangential_n if slide_m is None else slide_m

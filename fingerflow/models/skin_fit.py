@@ -42,8 +42,9 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Fit friction and tissue stiffness k_t of a skin chain by least squares in their logarithms, at a constant ratio
-    of plate stiffness to k_t.
+    """Fit friction and tissue stiffness k_t of a skin chain by least squares in their logarithms.
+
+    The ratio of plate stiffness to k_t is constant.
 
     Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
     stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks

@@ -90,8 +90,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    """Return the factor by which the time step grows: a power of 2^(1/4), from 2^(-7/4) to 2, by the error of the last
-    step.
+    """Return the factor for the next time step from the error of the last one: a power of 2^(1/4), 2^(-7/4) to 2.
 
     The coarse grid keeps rounding in the error from changing the step lengths.
     """
@@ -154,8 +153,9 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method; return X, friction and last
-    matrix.
+    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method.
+
+    Return X, the friction and the last matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.

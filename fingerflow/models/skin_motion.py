@@ -1,4 +1,4 @@
-"""Time integration of many skin chains: by the compiled library where available, else one chain after the other."""
+"""Integrate the motion of many skin chains in time, by the compiled library where it is available."""
 
 from dataclasses import dataclass
 
@@ -97,8 +97,9 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N, under
-    loads (..., 2, 2) at the first and the last time, along x and z.
+    """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N.
+
+    The loads (..., 2, 2) along x and z are those at the first and the last time.
 
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.

@@ -1,5 +1,6 @@
-"""Displacement and divergence of a pressed skin chain since each point's contact, as a camera under the glass measures
-them.
+"""Displacement and divergence of a pressed skin chain since each point's onset of contact.
+
+A camera under the glass measures these quantities.
 
 A recording shows skin only from its first contact, so displacement counts from there: u = x(t) - xi, with xi the
 position where the contact edge passed the point. With the chain as the section of a finger of revolution the divergence

@@ -11,7 +11,10 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Mechanical parameters of the skin per element of a chain of 501; tensors of one shape stand for many chains."""
+    """Mechanical parameters of the skin, per element of a chain of 501 elements.
+
+    Tensors of one shape hold the parameters of many chains.
+    """
 
     radius: Number  # m, of the half-circle
     membrane_stiffness: Number  # N/m, k_m of the link between two neighbours
@@ -24,7 +27,10 @@ class SkinParameters:
     width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """Return this skin in ``count`` elements: link stiffness inverse to element length, all else proportional."""
+        """Return the parameters of this skin for a chain of ``count`` elements.
+
+        The link stiffness is inverse to the element length, all else is proportional to it.
+        """
         finer = (count - 1) / 500
         return replace(
             self,
@@ -46,7 +52,9 @@ class SkinParameters:
 
 
 def _lab() -> SkinParameters:
-    """Return the parameters of the lab's published script: radius 8 mm, E 1.54 MPa, a layer of 20 um, tissue of 25 kPa.
+    """Return the parameters of the lab's published script.
+
+    The radius is 8 mm and E is 1.54 MPa, with a layer of 20 um and tissue of 25 kPa.
 
     k_m = E d e / dL / 2 with d = 8 mm is 2.45 kN/m, printed as 2.5 kN/m; k_t = pi r E_t / 2 is 0.31 kN/m per element.
     """

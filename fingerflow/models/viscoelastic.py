@@ -69,8 +69,9 @@ def viscoelastic_strain(
 
 
 def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weights of the equilibrium strain at the start and the end of a time step, for x = relaxation rate
-    times step.
+    """Return the weights of the equilibrium strain at the start and at the end of a time step.
+
+    x is the relaxation rate times the step.
 
     They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
     """

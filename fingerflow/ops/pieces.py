@@ -6,10 +6,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fingerflow.ops.looking import looks
+from fingerflow.ops.branching import may_branch
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS = 1 << 19
+_WINDOWS = 1 << 12  # about 1 GB of intermediate results, for windows of 25 px
+
+
+def points_at_once(like: Tensor, in_cache: int) -> int:
+    """Return how many windows to compute in one call: `in_cache` on a CPU, elsewhere a number that limits memory."""
+    return in_cache if like.is_cpu else _WINDOWS
 
 
 def frames_at_once(frames: Tensor) -> int:
@@ -30,7 +36,7 @@ def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) 
     """
     frames = max(len(one) for one in given if one is not None)
     at_once = max(1, at_once)
-    if frames <= at_once or not looks(*given):
+    if frames <= at_once or not may_branch(*given):
         return compute(*given)
     pieces = [
         compute(*(one if one is None or len(one) == 1 else one[start : start + at_once] for one in given))

@@ -1,6 +1,7 @@
 """Elementary tensor operations, written in forms that ONNX Runtime executes fast."""
 
 import math
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -16,7 +17,7 @@ def components_first(points: Tensor) -> Tensor:
 
 
 def finite(values: Tensor) -> Tensor:
-    """Test for finite values like `torch.isfinite`, but with two operations instead of four."""
+    """Return a mask of the finite values, as `torch.isfinite`, but with two operations instead of four."""
     return values.abs() < math.inf
 
 
@@ -47,5 +48,18 @@ def products(left: Tensor, right: Tensor) -> Tensor:
 
 
 def bytes_of(mask: Tensor) -> Tensor:
-    """Convert a bool mask to uint8, 0 or 1: as a view of the same memory, or by a cast while a graph is exported."""
+    """Convert a bool mask to uint8 (0 or 1), without a copy unless a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)
+
+
+def constant_like(constant: Tensor, like: Tensor) -> Tensor:
+    """Return a constant on the device and with the dtype of another tensor; copies on a device are cached."""
+    if like.device == constant.device or torch.compiler.is_compiling():
+        return constant.to(like)
+    return _copy_on(constant, like.device, like.dtype)
+
+
+@cache
+def _copy_on(constant: Tensor, device: torch.device, dtype: torch.dtype) -> Tensor:
+    with torch.inference_mode(False):  # else autograd could not use it later
+        return constant.to(device, dtype)

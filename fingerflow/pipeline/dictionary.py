@@ -30,7 +30,7 @@ class DictionaryEntry(NamedTuple):
 
     @property
     def unit_note(self) -> str:
-        """Return ", shown in" and the unit that people see, "" if that is the unit of the data set or none."""
+        """Return the text ", shown in UNIT" if figures use another unit than the data set, else ""."""
         return "" if self.shown_unit in ("", self.units) else f", shown in {self.shown_unit}"
 
     def __str__(self) -> str:

@@ -84,7 +84,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return a mapping from the class of each planned stage (`Stage.place`) to the stage's cache key.
+    """Return the cache key of each planned stage, by the class of the stage (`Stage.place`).
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -182,7 +182,7 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield (dotted key, value) of a scene key, or of all keys of a table; files are represented by a digest."""
+    """Yield (dotted key, value) of a scene key or of all keys of a table, with a digest in place of a file."""
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return

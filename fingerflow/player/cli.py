@@ -21,7 +21,7 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.handover import Slot
 from fingerflow.player.live_data import LiveForces
-from fingerflow.player.played import played_by
+from fingerflow.player.played import choose_input
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sources import kinds
 from fingerflow.player.stream_player import Player, Settings
@@ -64,7 +64,7 @@ def main(
 
 def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     bundle = load_bundle(options.bundle)
-    played = played_by(options, bundle)
+    played = choose_input(options, bundle)
     if options.json is not None and not _may_replace(options.json):
         raise PlayerError(f"{options.json}: exists and is no summary of a stream; give --json another name")
     scene, name = played.scene, played.name

@@ -1,4 +1,4 @@
-"""Warnings about kinds of results, such as contact, that no frame of a stream has given."""
+"""Warnings about results, such as contact, that were found in no frame of a stream."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Findings:
         self._contact |= area > 0
 
     def missing(self, threshold_known: bool) -> list[str]:
-        """Return a warning sentence for each kind of result that no frame of the stream has given."""
+        """Return a warning sentence for each kind of result that was found in no frame of the stream."""
         if not self._usable:
             counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
             return [

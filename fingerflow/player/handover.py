@@ -1,4 +1,4 @@
-"""Objects exchanged between the threads of a stream: closable queues, ordered completion, frame buffers."""
+"""Objects that the threads of a stream exchange: closable queues, ordered completion, frame buffers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Channel(Generic[T]):
             return left
 
     def get(self, wait: bool = True) -> T | None:
-        """Return the next item; None if the queue is empty and either is closed or must not be waited for (`wait`)."""
+        """Return the next item; None if the queue is empty and closed, or is empty and `wait` is False."""
         with self._changed:
             while wait and not self._items and not self._closed:
                 self._changed.wait()
@@ -109,7 +109,7 @@ class InOrder(Generic[T]):
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """Mark an item as computed, and end all computed items that no unfinished earlier item precedes."""
+        """Mark an item as computed, and end each computed item whose predecessors have all ended."""
         with self._changed:
             self._done[number] = piece
             if self._ending:

@@ -114,7 +114,7 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Return the latest data for the live page as bytes: a JSON text, then the arrays described by this text.
+        """Return the latest data for the live page as bytes: a JSON text, then the arrays it describes.
 
         The length of the text (little-endian uint32) comes first; text and arrays are padded to 4 bytes.
         """

@@ -1,7 +1,8 @@
 """HTTP server of the live page: three static files, the live data, and a request to reseed the points.
 
-The page is served to this computer and to those that its address is bound for. Requests for another host name, from
-pages of other sites, or with a body are refused. The number of clients and the duration of a request are limited.
+The page is served to this computer and to those that its address is bound for. Requests without the token of the
+printed address, for another host name, from pages of other sites, or with a body are refused. The number of clients
+and the duration of a request are limited.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import time
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.live_data import LiveData
+from fingerflow.player.page_token import PageToken, redirect
 
 log = logging.getLogger("fingerflow.player")
 
@@ -85,12 +88,16 @@ def serve_page(
             f"live page: {address[0]}:{address[1]} cannot be served ({error.strerror}); give --page another port or off"
         ) from None
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    log.info("live page: http://%s:%d/", *server.server_address[:2])
+    log.info("live page: %s", server.opening)
     return server
 
 
 class PageServer(ThreadingHTTPServer):
-    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request."""
+    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request.
+
+    Attributes:
+        opening: address that opens the page, with the token.
+    """
 
     daemon_threads = True
 
@@ -101,9 +108,12 @@ class PageServer(ThreadingHTTPServer):
         self.asking: dict[socket.socket, float] = {}  # clients with an incomplete request, and when it began
         self._said = False
         super().__init__(address, handler)
+        host, port = self.server_address[:2]
+        self.token = PageToken(int(port))
+        self.opening = f"http://{host!s}:{port}/?token={self.token.text}"
 
     def stop(self) -> None:
-        """Stop the server of the live page; an open page is served a little longer, to show the end of the stream."""
+        """Stop the server of the live page, with a short delay in which an open page shows the end of the stream."""
         if self._live.is_watched():
             time.sleep(_LAST_LOOK)
         self.shutdown()
@@ -175,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Check a request; if it must be refused, send the refusal, end the connection and return True."""
+        """Return True if the request is answered here: it is refused, or redirected to set the page's cookie."""
         self.server.asking.pop(self.connection, None)
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
@@ -183,22 +193,29 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
             # The body is not parsed: on a connection that stays open it would be taken for the next request.
             self.answer(400, "text/plain", b"requests have no body here")
-            self._let_body_pass()
+            self._discard_body()
             return True
-        if len(hosts) != 1 or not self._is_own(_name(hosts[0])):
+        if len(hosts) != 1 or not self._means_this_computer(_name(hosts[0])):
             self.answer(421, "text/plain", b"this address is not served under that name")
             return True
         if origin is not None and origin.lower() != f"http://{hosts[0]}".lower():
             self.answer(403, "text/plain", b"pages of other sites are refused")
             return True
+        path, _, query = self.path.partition("?")
+        if self.command == "GET" and path == "/" and self.server.token.is_in_query(query):
+            self.answer(200, "text/html", redirect("/").encode(), {"Set-Cookie": self.server.token.set_cookie})
+            return True
+        if not self.server.token.is_in_cookies(self.headers.get("Cookie", "")):
+            self.answer(403, "text/plain", b"open the whole address that the player has printed")
+            return True
         return False
 
-    def answer(self, status: int, kind: str, body: bytes) -> None:
+    def answer(self, status: int, kind: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})) -> None:
         """Send a complete response; an error status ends the connection."""
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
-        for name, value in _HEADERS.items():
+        for name, value in {**_HEADERS, **headers}.items():
             self.send_header(name, value)
         if status >= 400:
             self.send_header("Connection", "close")
@@ -208,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing, because the page sends fifteen requests a second."""
 
-    def _let_body_pass(self) -> None:
+    def _discard_body(self) -> None:
         """Read and discard the rest of a request's body, as closing the connection earlier would lose the response."""
         self.connection.shutdown(socket.SHUT_WR)
         self.connection.settimeout(_LINGER)
@@ -216,7 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
         while taken < _MOST_BODY and (part := self.connection.recv(65536)):
             taken += len(part)
 
-    def _is_own(self, name: str) -> bool:
+    def _means_this_computer(self, name: str) -> bool:
         """Return whether a host name means this computer and can mean no other.
 
         Any other name may be a DNS rebinding attack.

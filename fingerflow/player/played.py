@@ -22,7 +22,7 @@ from fingerflow.schema.views import View
 _STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's
 
 
-class Played(NamedTuple):
+class StreamInput(NamedTuple):
     """Input of a stream: frame source, range of frames, background image (empty glass) and dark image.
 
     ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
@@ -40,7 +40,7 @@ class Played(NamedTuple):
     forces_in: Path | None = None
 
 
-def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
+def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     """Choose the input of a stream from the command line; raise PlayerError if options and scene conflict."""
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
@@ -58,7 +58,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         glass = scene.contact.crop(drawn.background)
         # The true values hold only for the scene of the synthetic source, not for the views of a scene file.
         known = drawn.expected_in if path is None else None
-        return Played(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
+        return StreamInput(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
     if scene.background is None:
         raise PlayerError(
             f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
@@ -75,7 +75,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         for file in (scene.background, scene.dark)
     )
     if options.camera:
-        return Played(scene, options.camera, lambda _: open_camera(options.camera), glass, dark)
+        return StreamInput(scene, options.camera, lambda _: open_camera(options.camera), glass, dark)
     file = Path(options.source) if options.source else scene.frames
     if file is None:
         raise PlayerError(
@@ -86,14 +86,16 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
     if file.resolve() == scene.frames:  # range and forces belong to the scene's own recording
         first, forces_in = scene.first_frame, path if scene.has_forces else None
         frames = None if scene.last_frame is None else scene.last_frame + 1 - first
-    return Played(
+    return StreamInput(
         *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
         *(first, frames, None, forces_in),
     )
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """Return the mean (H, W) float32 of a view over the first 64 frames of a file with full frames or this view only.
+    """Return the mean image (H, W) float32 of a view over the first 64 frames of a file.
+
+    The frames of the file are full frames, or show this view only.
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """

@@ -21,7 +21,7 @@ from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData, LiveForces, LiveViews
 from fingerflow.player.page_server import serve_page
-from fingerflow.player.played import Played
+from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
@@ -77,7 +77,7 @@ class Player:
         tracker: StreamTracker,
         computed_by: str,
         bundle: Bundle,
-        played: Played,
+        played: StreamInput,
         source: Source,
         sink: Sink,
         layout: RecordLayout,
@@ -123,7 +123,7 @@ class Player:
         after_computing = (self._free.close, self._frames.close, self._close_outcomes)
         after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
-            threading.Thread(target=self._guard, args=(step, after), name=step.__name__.strip("_"), daemon=True)
+            threading.Thread(target=self._run_guarded, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
                 (self._capture, (self._frames.close,)),
                 *[(self._compute, after_computing)] * self.settings.parallel,
@@ -207,8 +207,8 @@ class Player:
             **self.summary(),
         }
 
-    def _guard(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Run the function of a thread, then close the queues `after`; an exception stops the stream."""
+    def _run_guarded(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
+        """Run `step`, then call each function of `after`, which closes a queue; an exception stops the stream."""
         try:
             step()
         except BaseException as error:
@@ -267,7 +267,7 @@ class Player:
                 except FingerflowError:
                     raise
                 except Exception as error:
-                    self._lost(source, error, attempt)
+                    self._close_failed(source, error, attempt)
                     source, attempt = None, attempt + 1
                     continue
                 self._waiting_since, attempt = None, 0
@@ -286,8 +286,8 @@ class Player:
             if source is not None:
                 close_within(_HANGING, source)
 
-    def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
-        """Close a source that has failed, and wait before reopening it, longer at each attempt."""
+    def _close_failed(self, source: Source | None, error: Exception, attempt: int) -> None:
+        """Close a source that has failed, and wait before it is reopened, longer at each attempt."""
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
@@ -324,7 +324,7 @@ class Player:
                 self._order.done(number, work)
             with self._beginning:  # done by the first of these threads that arrives
                 if self._order.wait_for_all():
-                    self._hand_on(self._tracker.settle())
+                    self._queue_outcomes(self._tracker.settle())
         except BaseException:
             self._order.stop()
             raise
@@ -342,7 +342,7 @@ class Player:
             if self._tracker.must_wait(slot) and not self._order.wait_for_all():
                 return None
             work, passed = self._tracker.begin(slot)
-            return (self._order.begin(), work) if self._hand_on(passed) else None
+            return (self._order.begin(), work) if self._queue_outcomes(passed) else None
 
     def _close_outcomes(self) -> None:
         """Close the queue of frame outcomes once the last computing thread has ended."""
@@ -353,9 +353,9 @@ class Player:
 
     def _end(self, work: Work) -> bool:
         """Finish a computed frame and pass on the outcome; return False if the stream has failed."""
-        return self._hand_on(self._tracker.finish(work))
+        return self._queue_outcomes(self._tracker.finish(work))
 
-    def _hand_on(self, passed: Iterable[Event | FrameOutcome]) -> bool:
+    def _queue_outcomes(self, passed: Iterable[Event | FrameOutcome]) -> bool:
         """Put final frame outcomes and events into the queue; return False if the stream has failed."""
         return all(self._outcomes.put(one) for one in passed)
 
@@ -365,14 +365,14 @@ class Player:
         while (one := self._outcomes.get()) is not None:
             if isinstance(one, Event):
                 self._write_event(one)
-            elif not self._recorded(one):
+            elif not self._pass_record(one):
                 return
 
     def _write_event(self, event: Event) -> None:
         self._sink.event(event.name, event.frame, **event.facts)
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
-    def _recorded(self, outcome: FrameOutcome) -> bool:
+    def _pass_record(self, outcome: FrameOutcome) -> bool:
         """Compute the results of a frame and pass on a record of them; return False if the stream has failed."""
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields

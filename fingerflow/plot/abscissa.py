@@ -52,7 +52,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
 
 
 def varies(result: xr.Dataset, force: str) -> bool:
-    """Return whether a force is known and changes by more than a tenth of its largest value and ten times its noise."""
+    """Return whether a force varies: by more than a tenth of its largest value and ten times its noise."""
     if force not in result:
         return False
     known = _smoothed(result, force)
@@ -63,7 +63,10 @@ def varies(result: xr.Dataset, force: str) -> bool:
 
 
 def is_monotonic(result: xr.Dataset) -> bool:
-    """Return whether a varying normal force only rises or falls, apart from 3 % of its range or 3 times its noise."""
+    """Return whether a varying normal force only rises or only falls, apart from noise.
+
+    Reversals of up to 3 % of its range or 3 times its noise are ignored.
+    """
     known = _smoothed(result, "normal_force")
     least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, "normal_force"))
     falls = float((np.maximum.accumulate(known) - known).max())

@@ -1,20 +1,91 @@
-"""Colours, axes and legends that all figures share."""
+"""Fonts, colours, line styles, axes and legends that all figures share."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
-INK, RED, GREEN, YELLOW, GREY = "#1f3b57", "#d1495b", "#3c8d5a", "#edae49", "#9aa5b1"
+from fingerflow.plot.captions import describe
+
+# Dark blue, vermilion and bluish green differ for colour-blind readers too (Okabe & Ito 2008).
+INK, RED, GREEN, YELLOW, GREY = "#1f3b57", "#d55e00", "#009e73", "#edae49", "#8a96a3"
 BAND = 2.0  # standard deviations that a band shows on either side
+BAND_WORDS = f"± {BAND:g} standard deviations"
+FONT = "DejaVu Sans"  #: comes with matplotlib; a single one, as each font of a list is searched for at each text
+ONE_COLUMN_MM, TWO_COLUMNS_MM = 85.0, 180.0  # widths of a figure on a printed page
+MM_PER_INCH = 25.4
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+_DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 3)), (0, (8, 3)))
+_COLOURS = (INK, RED, YELLOW, GREEN, GREY)
+_LIGHTEST = 0.85  # of viridis: lighter colours vanish on white paper
+_STYLE: dict[Any, Any] = {
+    "font.family": [FONT], "font.size": 7.5, "figure.titlesize": 7.5, "axes.titlesize": 7.5, "axes.labelsize": 7.5,
+    "xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0, "legend.title_fontsize": 7.0,
+    "legend.handlelength": 2.4, "legend.labelspacing": 0.3, "legend.borderaxespad": 0.3, "legend.columnspacing": 1.0,
+    "lines.linewidth": 1.0, "lines.markersize": 3.5, "axes.linewidth": 0.6, "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6, "ytick.major.width": 0.6, "xtick.major.size": 2.5, "ytick.major.size": 2.5,
+    "axes.titlepad": 3.0, "axes.labelpad": 2.0, "xtick.major.pad": 2.0, "ytick.major.pad": 2.0,
+}  # fmt: skip
 
 
-def given_or_new(axes: Axes | None, width: float = 4.6, height: float = 3.3) -> Axes:
-    """Return the given axes, or the axes of a new figure of a given size in inches."""
-    return Figure(figsize=(width, height), layout="constrained").subplots() if axes is None else axes
+@contextmanager
+def figure_style(width_mm: float = ONE_COLUMN_MM) -> Iterator[None]:
+    """Set matplotlib's defaults within a ``with`` block so that new figures have a printed width and type of 7 pt or
+    more at that width.
+    """
+    wide = width_mm / MM_PER_INCH
+    with mpl.rc_context({**_STYLE, "figure.figsize": (wide, 0.75 * wide)}):
+        yield
 
 
-def finished(axes: Axes) -> Axes:
-    """Add a light grid to axes, and a legend if any line has a name; return the axes."""
+def new_figure(height: float) -> Figure:
+    """Return a figure of the current width (`figure_style`), with a height given as a share of it."""
+    wide = float(mpl.rcParams["figure.figsize"][0])
+    return Figure(figsize=(wide, height * wide), layout="constrained")
+
+
+def given_or_new(axes: Axes | None, height: float = 0.72) -> Axes:
+    """Return the given axes, or the axes of a new figure with a height given as a share of its width."""
+    return new_figure(height).subplots() if axes is None else axes
+
+
+def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
+    """Return colour and dashes of each of some lines, which differ in both, as arguments of `Axes.plot`.
+
+    The lines are read without colour by their dashes. ``ordered`` is for lines of a rising quantity, such as a
+    friction: their colours go from dark to light.
+    """
+    if ordered:
+        colours: list[Any] = list(colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1))))
+    else:
+        colours = [_COLOURS[k % len(_COLOURS)] for k in range(count)]
+    return [{"color": colours[k], "linestyle": _DASHES[k % len(_DASHES)]} for k in range(count)]
+
+
+def dot_styles(count: int) -> list[dict[str, Any]]:
+    """Return colour, from dark to light, and marker of each of some groups of dots, as arguments of `Axes.plot`."""
+    colours = colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1)))
+    return [{"color": colours[k], "marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
+
+
+def legend_below(part: Figure | SubFigure, axes: Axes) -> None:
+    """Write one legend under all axes of a panel, which show the same lines as the given axes."""
+    if (own := axes.get_legend()) is not None:
+        own.remove()
+    handles, labels = axes.get_legend_handles_labels()
+    part.legend(handles, labels, frameon=False, ncols=2 + len(labels) // 5, loc="outside lower center")
+
+
+def finished(axes: Axes, caption: str = "") -> Axes:
+    """Add a light grid to axes, a legend if any line has a name, and a caption; return the axes."""
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small")
+        axes.legend(frameon=False)
+    if caption:
+        describe(axes, caption)
     return axes

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
-from fingerflow.plot.axes_style import BAND, GREEN, GREY, INK, RED, YELLOW, finished, given_or_new
-from fingerflow.plot.wording import followed
+from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, YELLOW, finished, given_or_new, line_styles
+from fingerflow.plot.wording import definition_of, followed
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -19,11 +19,14 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis."""
+    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis, and
+    the variable that it shows.
+    """
 
     name: str
     values: Values
-    std: Values | None = None
+    std: Values | None
+    variable: str
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -35,8 +38,8 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
         against: variable of the horizontal axis; None for the normal force where it only rises or falls, else time.
 
     Returns:
-        The axes; save the figure by ``axes.figure.savefig("area.pdf")``. Values are in the units in which variables are
-        shown (`fingerflow outputs`).
+        The axes, with a caption (`caption_of`); `FigureFiles` saves their figure. Values are in the units in which
+        variables are shown (`fingerflow outputs`).
 
     Raises:
         FingerflowError: the result lacks a variable that is drawn.
@@ -158,7 +161,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
         rows[known] = np.nanquantile(values[known], fraction, axis=1)
-        curves.append(_Curve(f"{fraction:.0%} of the {followed(result)} below", rows))
+        curves.append(_Curve(f"{fraction:.0%} of the {followed(result)} below", rows, None, "position_std_px"))
     label = VARIABLES["position_std_px"].with_unit("standard deviation")
     return _from_zero(_draw(result, axes, against, curves, label, "Uncertainty of a position"))
 
@@ -178,9 +181,8 @@ def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | Non
         values = VARIABLES[name].shown_values(result[of].values)
         return np.asarray(values if component is None else values[:, component])
 
-    return _Curve(
-        legend or VARIABLES[name].words, shown(name), shown(f"{name}_std") if f"{name}_std" in result else None
-    )
+    spread = shown(f"{name}_std") if f"{name}_std" in result else None
+    return _Curve(legend or VARIABLES[name].words, shown(name), spread, name)
 
 
 def _from_zero(axes: Axes) -> Axes:
@@ -200,24 +202,39 @@ def _draw(
     """Draw several curves into one axes, with bands of BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
-    for (name, values, spread), colour in zip(curves, (INK, RED, YELLOW, GREEN, GREY), strict=False):
+    for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
         known = np.isfinite(values) & np.isfinite(x.values)
         beside = np.pad(known, 1)
         alone = known & ~beside[:-2] & ~beside[2:]  # frames without known neighbours, which a line does not show
-        axes.plot(x.values, values, ".-" if known.sum() < _FEW else "-", color=colour, label=name)
+        axes.plot(x.values, values, marker="." if known.sum() < _FEW else "", label=name, **style)
         if alone.any():
-            axes.plot(x.values[alone], values[alone], ".", color=colour, label="_alone")
+            axes.plot(x.values[alone], values[alone], ".", color=style["color"], label="_alone")
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
-            axes.fill_between(x.values, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.fill_between(x.values, low, high, color=style["color"], alpha=0.2, linewidth=0)
     axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_whole(x.values))
-    if not any(np.isfinite(values).any() for _, values, _ in curves):
+    if not any(np.isfinite(curve.values).any() for curve in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         axes.set_yticks([])
-    finished(axes)
+    finished(axes, _caption(curves, title, x.label))
     if len(curves) == 1 and (legend := axes.get_legend()) is not None:
         legend.remove()
     return axes
+
+
+def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
+    """Return the caption of curves: definition of each variable, meaning of bands, number of frames."""
+    shown = dict.fromkeys(curve.variable for curve in curves)
+    said = [f"{title} against {against.partition(' (')[0]}."]
+    said += [definition_of(one) for one in map(VARIABLES.__getitem__, shown) if one.long_name != one.words]
+    banded = [curve for curve in curves if curve.std is not None]
+    if banded:
+        own = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
+        meaning = "; ".join(VARIABLES[name].long_name for name in own if name in VARIABLES)
+        said.append(f"Bands: {BAND_WORDS}" + (f" ({meaning})." if meaning else "."))
+    counts = [int(np.isfinite(curve.values).sum()) for curve in curves]
+    said.append(f"n = {max(counts)} frames.")
+    return " ".join(said)
 
 
 def _whole(x: Values) -> tuple[float, float]:

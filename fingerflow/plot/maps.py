@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
+from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.wording import said
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -56,8 +58,9 @@ class Quantity:
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major one from x
-    towards y (rad).
+    """Return the principal strains (M, 2) of triangles, major first, and the direction (M,) of the major one, rad.
+
+    The direction is measured from x towards y.
 
     They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
     """
@@ -108,7 +111,7 @@ def field_map(
     chosen = _needed(result, quantity)
     if not 0 <= frame < result.sizes["frame"]:
         raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
-    axes = given_or_new(axes, 4.6, 3.5)
+    axes = given_or_new(axes, 0.76)
     one = result.isel(frame=frame)
     axes.set(title=chosen.title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     axes.set_axisbelow(True)  # draws the grid below the colours
@@ -148,7 +151,7 @@ def field_map(
     whole_figure = axes.get_figure(root=True)
     assert whole_figure is not None
     whole_figure.colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
-    return finished(axes)
+    return finished(axes, _caption(chosen, one, limit, int(shown.sum() or dots.sum()), bool(shown.any())))
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
@@ -187,6 +190,16 @@ def _needed(result: xr.Dataset, name: str) -> Quantity:
             "for them"
         )
     return QUANTITIES[name]
+
+
+def _caption(chosen: Quantity, frame: xr.Dataset, limit: float, count: int, triangles: bool) -> str:
+    what = "triangles" if triangles else "points"
+    definition = VARIABLES[chosen.variable].long_name
+    mean = ", mean of the corners of each triangle" if triangles and not chosen.of_triangles else ""
+    return (
+        f"{chosen.title}, {said(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
+        f"{with_uncertainty(limit)} {chosen.unit}. n = {count} {what}."
+    )
 
 
 def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:

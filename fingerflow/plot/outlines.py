@@ -1,4 +1,4 @@
-"""Outlines of contact and stick region in one frame, in mm on the glass, and their conversion to pixels of a view."""
+"""Return outlines of contact and stick region in one frame, in mm on the glass or in px of a view."""
 
 import json
 import math

@@ -1,5 +1,7 @@
 """Image of a frame with results drawn over it: real contact, ellipse, points, scale bar."""
 
+from typing import Any
+
 import numpy as np
 import torch
 import xarray as xr
@@ -12,8 +14,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph, LightGraph
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
+from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
-from fingerflow.plot.wording import followed
+from fingerflow.plot.wording import followed, said
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
@@ -63,7 +66,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     place = scene.views[name]
     grey = place.crop(counts)[0].astype(np.float64)
     height, width = grey.shape
-    axes = given_or_new(axes, 4.6, 4.6 * height / width + 0.9)
+    axes = given_or_new(axes, height / width + 0.22)
     low, high = np.nanpercentile(grey, _CONTRAST)
     shown = np.repeat(np.clip((grey - low) / max(high - low, 1e-9), 0, 1)[..., None], 3, axis=2)
     if mask is not None and mask.any():
@@ -71,29 +74,32 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
         axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
     axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
     one, matrix = result.isel(frame=frame), matrix_of_view(result, name)
-    outlines = ((contact_outline(one), YELLOW, "gross contact"), (stuck_outline(one), STUCK, "stuck part"))
-    for outline, colour, label in outlines:
+    outlines: tuple[tuple[Values | None, dict[str, Any]], ...] = (
+        (contact_outline(one), {"color": YELLOW, "label": "gross contact"}),
+        (stuck_outline(one), {"color": STUCK, "linestyle": "--", "label": "stuck part"}),
+    )
+    for outline, style in outlines:
         if outline is not None:
             places = in_pixels(np.append(outline, outline[:1], 0), matrix)
-            axes.plot(*places.T, color=colour, linewidth=1.4, label=label)
+            axes.plot(*places.T, linewidth=1.4, **style)
     _points(axes, result, frame, matrix)
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"{name.capitalize()} view, {said(one)}", fontsize="medium")
+    axes.set_title(f"{name.capitalize()} view, {said(one)}")
+    _describe(axes, name, one, result)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
-            frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3, handletextpad=0.3,
-            columnspacing=1.0, markerscale=3,
+            frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, handletextpad=0.3, markerscale=3,
         )  # fmt: skip
     return axes
 
 
-def said(frame: xr.Dataset) -> str:
-    """Return a text for the reader with number, time and normal force of a frame."""
-    words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
-    if "normal_force" in frame and np.isfinite(frame["normal_force"]):
-        words.append(f"{float(frame['normal_force']):.2f} N")
-    return ", ".join(words)
+def _describe(axes: Axes, view: str, frame: xr.Dataset, result: xr.Dataset) -> None:
+    text = f"The {view} view in {said(frame)}. The gross contact is the ellipse of the region which the contact spans."
+    if "position" in result:
+        known = int(np.isfinite(frame["position"].values).all(-1).sum())
+        text += f" n = {known} {followed(result)} with a position."
+    describe(axes, text)
 
 
 def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:
@@ -159,4 +165,4 @@ def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
     axes.plot([left, right], [y, y], color="white", linewidth=3, solid_capstyle="butt", label="_scale bar",
               path_effects=[withStroke(linewidth=4.5, foreground="black")])  # fmt: skip
     axes.annotate(f"{length:g} mm", ((left + right) / 2, y), (0, 4), textcoords="offset points", color="white",
-                  ha="center", va="bottom", fontsize="small", path_effects=edge)  # fmt: skip
+                  ha="center", va="bottom", path_effects=edge)  # fmt: skip

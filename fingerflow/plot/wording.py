@@ -2,7 +2,10 @@
 
 import json
 
+import numpy as np
 import xarray as xr
+
+from fingerflow.schema.variable_record import Variable
 
 
 def is_sensor(result: xr.Dataset) -> bool:
@@ -14,3 +17,23 @@ def is_sensor(result: xr.Dataset) -> bool:
 def followed(result: xr.Dataset) -> str:
     """Return the word for the tracked objects of a result: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"
+
+
+def said(frame: xr.Dataset) -> str:
+    """Return a text for the reader with number, time and normal force of a frame."""
+    words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
+    if "normal_force" in frame and np.isfinite(frame["normal_force"]):
+        words.append(f"{float(frame['normal_force']):.2f} N")
+    return ", ".join(words)
+
+
+def definition_of(variable: Variable, more: str = "") -> str:
+    """Return a sentence that defines a variable or column for captions, and ends in further words."""
+    words = variable.words
+    meaning = "" if variable.long_name == words else f": {variable.long_name}"
+    return f"{sentence(words)}{meaning}{more}."
+
+
+def sentence(words: str) -> str:
+    """Return words with a capital first letter and all others as they are."""
+    return words[:1].upper() + words[1:]

@@ -1,4 +1,4 @@
-"""Text that identifies a recording, and distinguishes it from others of equal length and image size."""
+"""Create a text that identifies a recording, even among others of equal length and image size."""
 
 import numpy as np
 

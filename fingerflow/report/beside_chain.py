@@ -14,7 +14,9 @@ from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_fit import SkinFit, fit_skin
 from fingerflow.models.skin_onset import since_onset
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
-from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import INK, TWO_COLUMNS_MM, figure_style, finished, line_styles
+from fingerflow.plot.captions import describe
+from fingerflow.plot.panels import row_of_panels
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -24,12 +26,11 @@ NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_div
 _LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the spacing of ridges
 _FITTED = 10  # number of forces to which the stiffness is fitted
 _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larger for the same area, with 251 5 %
-_COLOURS = (RED, GREEN, YELLOW, GREY)
 
 
 @dataclass(frozen=True)
 class BesideChain:
-    """Measured press at T known forces, beside predictions (K, T) of the skin chain for K friction coefficients.
+    """Measured press at T known forces, with predictions (K, T) of the skin chain for K friction coefficients.
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
@@ -129,21 +130,29 @@ def inner_divergence(result: xr.Dataset) -> Values:
     return found
 
 
-def draw(beside: BesideChain) -> Figure:
+def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
     """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
-    figure = Figure(figsize=(10, 3.9), layout="constrained")
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
         (_MEDIAN.axis_label, beside.median, beside.chain_median),
         (_MEDIAN.with_unit(f"mean divergence within {INNER:g} of its radius"), beside.inner, beside.chain_inner),
     )
-    for axes, (name, measured, chains) in zip(figure.subplots(1, 3), panels, strict=True):
-        for friction, chain, colour in zip(beside.friction, chains, _COLOURS * len(chains), strict=False):
-            axes.plot(beside.force, chain, "--", color=colour, linewidth=1.3, label=f"chain, friction {friction:g}")
-        axes.plot(beside.force, measured, color=INK, label="measured")
-        axes.set(xlabel="normal force (N)")
-        axes.set_ylabel(name, fontsize="small")
-        finished(axes)
+    styles = line_styles(len(beside.friction) + 1)[1:]
+    with figure_style(width_mm):
+        figure, parts = row_of_panels(3, width_mm)
+        for part, (name, measured, chains) in zip(parts, panels, strict=True):
+            axes = part.subplots()
+            for friction, chain, style in zip(beside.friction, chains, styles, strict=True):
+                axes.plot(beside.force, chain, label=f"chain, friction {friction:g}", **style)
+            axes.plot(beside.force, measured, color=INK, label="measured")
+            axes.set(xlabel="normal force (N)", ylabel=name)
+            finished(axes)
+    describe(
+        figure,
+        "Contact area (A), median divergence over the contact (B) and mean divergence of points within "
+        f"{INNER:g} of its radius (C) against the normal force: measured, and of the skin chain pressed with the same "
+        f"force. n = {int(np.isfinite(beside.area).sum())} frames.",
+    )
     return figure
 
 

@@ -9,9 +9,11 @@ from matplotlib.figure import SubFigure
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.plot.axes_style import INK, RED, finished
+from fingerflow.plot.captions import describe
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
+_WIDE_IN = 5.0  # width from which four maps have room beside each other
 PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")
 
 
@@ -32,8 +34,9 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose a displacement field into the parts of its least-squares linear fit about the centre of the points, and
-    the rest.
+    """Decompose a displacement field into the parts of its linear least-squares fit, and the rest.
+
+    The fit is about the centre of the points.
 
     Args:
         points: (P, 2) mm, reference positions x and y.
@@ -84,7 +87,8 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         "rest": f"{amount('displacement', rest)} in the median",
     }
     scale = _arrow_scale(found)
-    grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
+    across = 4 if part.bbox.width / part.dpi_scale_trans.transform((1, 0))[0] > _WIDE_IN else 2
+    grid: list[Axes] = list(part.subplots(8 // across, across, sharex=True, sharey=True).flat)
     axes = grid[: len(PARTS)]
     grid[-1].set_axis_off()
     for one, (name, said) in zip(axes, amounts.items(), strict=True):
@@ -94,14 +98,20 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
             *found.points[shown].T, *(scale * arrows[shown].T), angles="xy", scale_units="xy", scale=1,
             color=RED if name == "rest" else INK, width=0.006,
         )  # fmt: skip
-        one.set(aspect="equal", title=f"{name}\n{said}" if said else f"{name}\narrows {scale:g} x")
-        one.title.set_fontsize("medium")
+        one.set(aspect="equal", title=f"{name}\n{said}" if said else f"{name}\narrows {scale:g} ×")
         one.margins(0.15)
         finished(one)
+    known = int((np.isfinite(found.parts["field"]).all(1) & np.isfinite(found.points).all(1)).sum())
+    describe(
+        axes[0],
+        "Displacement of the skin (field) and its parts by a least-squares fit that is linear in the position: "
+        f"constant, divergence, curl, two shears and the rest, which add up to it. All arrows are drawn {scale:g} "
+        f"times as long as they are. n = {known} points.",
+    )
     axes[0].invert_yaxis()  # shared by all
-    for one in (axes[0], axes[4]):
+    for one in axes[::across]:
         one.set_ylabel("mm")
-    for one in axes[3:]:
+    for one in axes[7 - across :]:
         one.set_xlabel("mm")
         one.tick_params(labelbottom=True)
     return axes

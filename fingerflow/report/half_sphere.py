@@ -15,29 +15,35 @@ def draw_half_sphere(axes: Axes) -> Axes:
     """Draw figure S4 A: the fingertip pressed by 3 mm into the glass, the arc 2 L and the contact 2 a (mm)."""
     delta, radius = DEPTH_MM, RADIUS_MM
     turn = np.linspace(0, np.pi, 181)
-    axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY, linewidth=1)
-    axes.axhline(0, color=INK, linewidth=1)
+    axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY)
+    axes.axhline(0, color=INK)
     angle = float(arc_length(delta, radius)) / radius
     arc = np.linspace(-angle, angle, 91)
     name = f"2 L = {2 * radius * angle:.1f} mm"
-    axes.plot(radius * np.sin(arc), radius - delta - radius * np.cos(arc), color=RED, linewidth=2.5, label=name)
+    axes.plot(radius * np.sin(arc), radius - delta - radius * np.cos(arc), color=RED, linewidth=2, label=name)
     half = float(contact_radius(delta, radius))
-    axes.plot([-half, half], [0, 0], color=INK, linewidth=2.5, label=f"2 a = {2 * half:.1f} mm")
+    axes.plot([-half, half], [0, 0], color=INK, linewidth=2, linestyle="--", label=f"2 a = {2 * half:.1f} mm")
     axes.annotate("", (0, -delta), (0, 0), arrowprops={"arrowstyle": "<->", "color": INK, "shrinkA": 0, "shrinkB": 0})
-    axes.annotate(f" δ = {delta:g} mm", (0, -delta / 2), va="center")
+    axes.annotate(f"δ = {delta:g} mm", (0, 0.4), ha="center")
     axes.set(xlabel="mm", ylabel="above the glass (mm)", aspect="equal", ylim=(-1.2 * delta, 1.05 * radius))
-    finished(axes)
-    axes.legend(frameon=False, fontsize="small", loc="upper center")
+    finished(
+        axes,
+        f"Half-sphere of radius {radius:g} mm pressed {delta:g} mm into the glass: its arc 2 L, which becomes the "
+        "contact 2 a where the skin sticks.",
+    )
+    axes.legend(frameon=False, loc="upper center")
     return axes
 
 
 def draw_lengths(axes: Axes) -> Axes:
     """Draw figure S4 B: arc length L and contact radius a (mm) against the normal indentation (mm)."""
     delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
-    axes.plot(delta, arc_length(delta, RADIUS_MM), color=RED, label="L, arc of the skin")
+    axes.plot(delta, arc_length(delta, RADIUS_MM), color=RED, linestyle="--", label="L, arc of the skin")
     axes.plot(delta, contact_radius(delta, RADIUS_MM), color=INK, label="a, contact")
     axes.set(xlabel="normal indentation δ (mm)", ylabel="length (mm)", title=f"R = {RADIUS_MM:g} mm")
-    return finished(axes)
+    return finished(
+        axes, f"Arc length L and contact radius a against the indentation δ, for a radius R of {RADIUS_MM:g} mm."
+    )
 
 
 def draw_radial_strain(axes: Axes) -> Axes:
@@ -47,4 +53,4 @@ def draw_radial_strain(axes: Axes) -> Axes:
     at_three = 100 * float(radial_strain(DEPTH_MM, RADIUS_MM))
     axes.plot(DEPTH_MM, at_three, "o", color=RED, label=f"{at_three:.1f} % at 3 mm")
     axes.set(xlabel="normal indentation δ (mm)", ylabel="(L - a) / L (%)")
-    return finished(axes)
+    return finished(axes, "Compression (L - a) / L of sticking skin against the indentation δ.")

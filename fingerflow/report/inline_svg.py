@@ -1,4 +1,4 @@
-"""Inline SVG of a matplotlib figure for an HTML page, and the values of its curves for the page's cursor."""
+"""Convert a matplotlib figure to inline SVG for a page, with curve values that the page shows at the cursor."""
 
 import base64
 import io
@@ -13,11 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from fingerflow.plot.axes_style import FONT
+from fingerflow.plot.figure_files import settle
+
 _NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _RASTER_DPI = 170  # of rasterized maps
 _WIDER = 1.5  # largest magnification of a figure over its printed size
 _DIGITS = 5
-FONT = "DejaVu Sans"  #: comes with matplotlib; a single one, as each font of a list is searched for at each text
 _LARGE, _QUALITY = 100_000, 88  # bytes above which a picture becomes JPEG; JPEG quality
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 _OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
@@ -32,11 +34,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
         name: unique in the page; ids within the figure are derived from it.
         label: text alternative (aria-label).
     """
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        # Run the layout once, instead of each time matplotlib draws.
-        layout.execute(figure)
-        figure.set_layout_engine("none")
+    settle(figure)
     data = io.StringIO()
     figure.set_dpi(_RASTER_DPI)
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
@@ -66,7 +64,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the values of the named curves in axes, to read off with the cursor on the page, and the axes' position.
+    """Return the values of named curves, which the page shows at the cursor, and the position of the axes.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.

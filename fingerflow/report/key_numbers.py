@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report.telling_frames import Telling
 from fingerflow.schema.variables import VARIABLES
 
@@ -31,7 +32,10 @@ _QUANTITIES = (
 
 @dataclass(frozen=True)
 class Line:
-    """Row of the table of key numbers: quantity, unit, and value at each key frame as text, an en dash for NaN."""
+    """Row of the table of key numbers: quantity, unit, and value at each key frame as text.
+
+    An en dash stands for NaN.
+    """
 
     name: str
     unit: str
@@ -42,7 +46,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
     """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
-    energy `border_energy`. For areas it is the scatter from frame to frame (`scatter`).
+    energy the uncertainty of the border. For areas it is the scatter from frame to frame (`scatter`).
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
@@ -80,21 +84,3 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
     # Frames at the ends have the values of the first and last windows.
     found[:half], found[len(values) - half :] = rest[0], rest[-1]
     return found
-
-
-def with_uncertainty(value: float, spread: float) -> str:
-    """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
-
-    >>> with_uncertainty(33.4123, 0.5178)
-    '33.41 ± 0.52'
-    """
-    if not np.isfinite(value):
-        return "–"
-    if not np.isfinite(spread) or spread <= 0:
-        return _rounded(value, 2 - int(np.floor(np.log10(abs(value)))) if value else 0)
-    digits = 1 - int(np.floor(np.log10(spread)))
-    return f"{_rounded(value, digits)} ± {_rounded(spread, digits)}"
-
-
-def _rounded(value: float, digits: int) -> str:
-    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f}"

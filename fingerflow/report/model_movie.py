@@ -54,14 +54,14 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
         top.axhline(0, color=INK, linewidth=1)
         top.set(xlim=(-_WIDE_MM, _WIDE_MM), ylim=(-0.6, 8.5), aspect="equal", title=f"friction {friction:g}")
         pressure = bottom.plot([], [], color=INK, label="pressure")[0]
-        traction = bottom.plot([], [], color=RED, label="traction")[0]
+        traction = bottom.plot([], [], color=RED, linestyle="--", label="traction")[0]
         bottom.set(ylim=(-0.4 * highest, highest), xlabel="along the plate (mm)")
         bottom.grid(alpha=0.25)
         skins.append((skin, top.plot([], [], "o", color=GREY, markersize=8)[0]))
         loads.append((pressure, traction))
     axes[0, 0].set_ylabel("above the plate (mm)")
     axes[1, 0].set_ylabel("on the skin (kPa)")
-    axes[1, 1].legend(frameon=False, fontsize="small", loc="upper right")
+    axes[1, 1].legend(frameon=False, loc="upper right")
     figure.colorbar(skins[0][0], ax=list(axes[0]), label="displacement along the plate (mm)")
     heading = figure.suptitle(" ")
     for frame in range(len(presses.time)):

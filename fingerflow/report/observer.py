@@ -3,48 +3,57 @@
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
-from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, finished
+from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
+from fingerflow.plot.rounding import with_interval
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
     """Draw figure S11 A: histograms of the normalised metric of correct and incorrect trials, with fitted Gaussians."""
     axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials")
     if not observer.bins.size:
-        axes.set_title(observer.reason, fontsize="small", wrap=True)
+        axes.set_title(observer.reason)
         return finished(axes)
     middles = (observer.bins[:-1] + observer.bins[1:]) / 2
-    for counts, fitted, colour, name in (
-        (observer.counts_correct, observer.correct, GREEN, "correct"),
-        (observer.counts_incorrect, observer.incorrect, RED, "incorrect"),
+    for counts, fitted, colour, dashes, name in (
+        (observer.counts_correct, observer.correct, GREEN, "-", "correct"),
+        (observer.counts_incorrect, observer.incorrect, RED, "--", "incorrect"),
     ):
         axes.stairs(counts, observer.bins, color=colour, fill=True, alpha=0.25)
         if np.isfinite(fitted.mean):
             x = np.linspace(middles[0], middles[-1], 300)
             curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
-            axes.plot(x, curve, color=colour, label=name)
-    axes.set_title(f"d' = {observer.d_prime:.2f}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
-    return finished(axes)
+            axes.plot(x, curve, color=colour, linestyle=dashes, label=name)
+    d_prime = f"d' = {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
+    axes.set_title(f"{d_prime}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
+    return finished(
+        axes,
+        f"Trials answered correctly and incorrectly by {metric} over its 0.9 quantile, with fitted Gaussians. d': "
+        "difference of their means over the root mean square of their standard deviations, negative where correct "
+        f"trials have the smaller value. n = {observer.trials[0]} correct and {observer.trials[1]} incorrect trials.",
+    )
 
 
 def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     """Draw figure S11 B: hits against false alarms as the criterion sweeps the metric (ROC)."""
-    axes.plot([0, 1], [0, 1], "--", color=GREY, linewidth=0.8)
-    colours = colormaps["viridis"](np.linspace(0, 0.9, max(len(observers), 1)))
-    for (name, observer), colour in zip(observers.items(), colours, strict=False):
+    axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.6)
+    for (name, observer), style in zip(observers.items(), line_styles(len(observers), ordered=True), strict=True):
         axes.plot(
             observer.false_alarms,
             observer.hits,
-            color=colour,
             label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})",
+            **style,
         )
-    axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
-    finished(axes)
-    axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
+    axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1))
+    finished(
+        axes,
+        "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion "
+        "sweeps the metric. In brackets: area under the curve, 0.5 by chance, and n, the number of trials.",
+    )
+    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
     return axes
 
 
@@ -53,12 +62,17 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
-        count = f" {sum(estimate.trials)} trials"
-        axes.annotate(count, (1, row), xycoords=("axes fraction", "data"), va="center", fontsize="small")
+        count = f" n {sum(estimate.trials)}"
+        axes.annotate(count, (1, row), xycoords=("axes fraction", "data"), va="center")
     axes.axvline(chance, color=GREY, linestyle="--", linewidth=0.8)
     axes.set(yticks=range(len(estimates)), yticklabels=list(estimates), xlabel=quantity)
     axes.invert_yaxis()
-    return finished(axes)
+    values = "; ".join(
+        f"{name} {with_interval(one.value, *one.interval)}, n = {sum(one.trials)}" for name, one in estimates.items()
+    )
+    return finished(
+        axes, f"Estimate of {quantity} (dot) with its 95 % interval (line), in trials; dashed: chance. {values}."
+    )
 
 
 def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
@@ -68,15 +82,19 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
     if groups.groups:
         x = np.linspace(edges[0] - 2 * groups.deviation, edges[-1] + 2 * groups.deviation, 300)
-        for mean, share, colour in zip(groups.means, groups.shares, (INK, RED), strict=True):
+        for mean, share, style in zip(groups.means, groups.shares, line_styles(2), strict=True):
             density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
-            axes.plot(x, share * density * known.size * (edges[1] - edges[0]), color=colour)
+            axes.plot(x, share * density * known.size * (edges[1] - edges[0]), **style)
         axes.axvline(groups.border, color=INK, linestyle=":")
         axes.set_title(
             f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants"
         )
     axes.set(xlabel=quantity, ylabel="participants")
-    return finished(axes)
+    return finished(
+        axes,
+        "Histogram of the participants' medians, and the mixture of two Gaussians of one standard deviation where it "
+        f"explains them better than one (p); dotted: border of the groups. n = {known.size} participants.",
+    )
 
 
 def draw_psychometric(
@@ -88,13 +106,25 @@ def draw_psychometric(
         curves: (stimulus, answers, trials, fit) by name of the group, as passed to `fit_psychometric`.
         stimulus: name and unit of the stimulus.
     """
-    for (name, (where, answers, trials, fit)), colour in zip(curves.items(), (INK, RED, GREEN, GREY), strict=False):
+    styles = line_styles(len(curves))
+    for k, (name, (where, answers, trials, fit)) in enumerate(curves.items()):
+        colour = styles[k]["color"]
         x, share = np.asarray(where, dtype=float), np.asarray(answers, dtype=float) / np.asarray(trials, dtype=float)
-        axes.plot(x, share, "o", color=colour, markersize=4, label=f"{name}, {fit.trials} trials")
+        axes.plot(x, share, MARKERS[k], color=colour, label=f"{name}, {fit.trials} trials")
         if np.isfinite(fit.threshold):
             fine = np.linspace(x.min(), x.max(), 300)
-            axes.plot(fine, fit(fine), color=colour)
+            axes.plot(fine, fit(fine), **styles[k])
             limits = np.clip(fit.interval, *axes.get_xlim())
             axes.plot(limits, [fit.share, fit.share], color=colour, linewidth=3, alpha=0.4)
     axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
-    return finished(axes)
+    thresholds = "; ".join(
+        f"{name} {with_interval(fit.threshold, *fit.interval)}, n = {fit.trials} trials"
+        if np.isfinite(fit.threshold)
+        else f"{name} none ({fit.reason}), n = {fit.trials} trials"
+        for name, (*_, fit) in curves.items()
+    )
+    return finished(
+        axes,
+        "Share of trials felt as more slippery, with fitted psychometric curves. Thick: threshold, where the curve has "
+        f"the height of the line, with its 95 % interval. {thresholds}.",
+    )

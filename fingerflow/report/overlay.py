@@ -48,7 +48,7 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
 
 
 def _arrow_scale(result: xr.Dataset) -> float:
-    """Return the arrow scale, to one digit, at which the 0.98 quantile of displacement is 40 px; 0 if unknown."""
+    """Return the arrow scale, to one digit, that draws the 0.98 quantile of displacement as 40 px; 0 if unknown."""
     if "displacement" not in result:
         return 0.0
     length = np.linalg.norm(result["displacement"].values, axis=-1)

@@ -3,12 +3,11 @@
 import base64
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from jinja2 import Environment
@@ -17,11 +16,14 @@ from matplotlib.figure import Figure
 
 from fingerflow import plot
 from fingerflow.plot.abscissa import varies
-from fingerflow.plot.picture import said, views_of
-from fingerflow.plot.wording import followed, is_sensor
+from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style
+from fingerflow.plot.captions import caption_of
+from fingerflow.plot.figure_files import FigureFiles
+from fingerflow.plot.picture import views_of
+from fingerflow.plot.wording import followed, is_sensor, said
 from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.cautions import cautions, lost_points
-from fingerflow.report.inline_svg import FONT, curves_of, inline_svg
+from fingerflow.report.inline_svg import curves_of, inline_svg
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
@@ -36,10 +38,11 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure of the report page: unique name, SVG text, and values of its curves or None."""
+    """Figure of the report page: unique name, SVG text, caption, and values of its curves or None."""
 
     name: str
     svg: str
+    caption: str
     curves: dict[str, Any] | None = None
 
 
@@ -54,7 +57,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: title, and panels of which one is shown at a time, at first that of index ``first``."""
+    """Section of the page: title, and panels of which one is shown at a time, beginning with panel ``first``."""
 
     title: str
     panels: list[Panel]
@@ -64,19 +67,30 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Builder of the figures on the report page of a result."""
+    """Builder of the figures on the report page of a result, which also writes them as files where ``files`` asks."""
 
     result: xr.Dataset
+    folder: Path
+    files: FigureFiles | None
+    overwrite: bool
+
+    @property
+    def wide_mm(self) -> float:
+        """Return the width of a figure of several panels."""
+        return (self.files and self.files.width_mm) or TWO_COLUMNS_MM
 
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
         figure = axes.get_figure(root=True)
-        assert figure is not None
-        # Before curves_of, as it settles the layout.
-        svg = inline_svg(figure, name, label)
-        return Drawn(name, svg, curves_of(axes, self.result.sizes["frame"]))
+        assert isinstance(figure, Figure)
+        drawn = self.whole(figure, name, label)  # before curves_of, as it settles the layout
+        return replace(drawn, curves=curves_of(axes, self.result.sizes["frame"]))
 
     def whole(self, figure: Figure, name: str, label: str) -> Drawn:
-        return Drawn(name, inline_svg(figure, name, label))
+        svg = inline_svg(figure, name, label)
+        if self.files is not None:
+            self.files.keep_others(self.folder, name, self.overwrite)
+            self.files.save(figure, self.folder, name)
+        return Drawn(name, svg, caption_of(figure))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
         """Return a section of the report with curves of given variables; None if none of these is known.
@@ -115,6 +129,7 @@ def write_report(
     chain: BesideChain | None = None,
     video: bool = True,
     overwrite: bool = False,
+    figure_files: FigureFiles | None = None,
 ) -> Path:
     """Write the report of a result, report.html and overlay.mp4, into a folder and return the path of the page.
 
@@ -128,6 +143,7 @@ def write_report(
         chain: predictions of the skin chain, drawn beside the measurement.
         video: write overlay.mp4 too, which takes longer than all the rest.
         overwrite: replace files that no report has written.
+        figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
 
     Raises:
         FingerflowError: before anything is computed, if an output is an input of the scene, or without ``overwrite``
@@ -139,8 +155,9 @@ def write_report(
     if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
-    with mpl.rc_context({"font.family": [FONT]}):
-        sections = _sections(result, scene, frames, chain)
+    make = _Figures(result, folder / "figures", figure_files, overwrite)
+    with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
+        sections = _sections(make, scene, frames, chain)
     sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])
     parts = files(__package__)
@@ -183,9 +200,9 @@ def write_report(
 
 
 def _sections(
-    result: xr.Dataset, scene: Scene | None, frames: Sequence[Telling], chain: BesideChain | None
+    make: _Figures, scene: Scene | None, frames: Sequence[Telling], chain: BesideChain | None
 ) -> list[Section]:
-    make = _Figures(result)
+    result = make.result
     sections: list[Section | None] = []
     most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
@@ -227,7 +244,7 @@ def _sections(
     sections.append(_maps(make, result, frames, max(most, 0)))
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
         trial = SlipTrial.of(result, "Partial slip")
-        slip = make.whole(trial_figure(trial), "partial-slip", verdict_line(trial))
+        slip = make.whole(trial_figure(trial, make.wide_mm), "partial-slip", verdict_line(trial))
         sections.append(Section(verdict_line(trial), [Panel("", [slip], "strip")]))
     quality: list[tuple[Draw, str]] = [
         (plot.tracked_share, "tracked_share"),
@@ -239,7 +256,7 @@ def _sections(
     if shown:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))
     if chain is not None:
-        beside = make.whole(draw(chain), "beside-chain", "Measured beside the skin chain")
+        beside = make.whole(draw(chain, make.wide_mm), "beside-chain", "Measured beside the skin chain")
         sections.append(Section("Beside the skin chain", [Panel("", [beside], "strip")], chain.notes()))
     return [one for one in sections if one is not None]
 

@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True displacement and curl at P points in the last frame's contact, median curl in F frames; NaN if none."""
+    """True displacement and curl at P points of the contact in the last frame, and median curl in F frames."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact
@@ -58,16 +58,19 @@ def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
     values = _CURL.shown_values(field.curl)
     largest = float(np.nanmax(np.abs(values)))
     x, y = field.reference.T
-    dots = axes.scatter(x, y, s=60, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, marker="s")
-    axes.set(xlabel="mm", ylabel="mm", aspect="equal", title="press of fingerflow demo")
+    dots = axes.scatter(x, y, s=12, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, marker="s")
+    axes.set(xlabel="mm", ylabel="mm", aspect="equal", title="simulated press")
     part.colorbar(dots, ax=axes, label=_CURL.axis_label, shrink=0.75)
-    finished(axes)
+    finished(
+        axes,
+        f"True curl at the largest force of a simulated press: {_CURL.long_name}. n = {len(values)} points.",
+    )
     axes.invert_yaxis()
     return axes
 
 
 def draw_median_curl(axes: Axes, field: PressField) -> Axes:
     """Draw figure S13 B: median curl over the contact against the normal force."""
-    axes.plot(field.force, _MEDIAN_CURL.shown_values(field.median_curl), color=INK, linewidth=0.9)
+    axes.plot(field.force, _MEDIAN_CURL.shown_values(field.median_curl), color=INK)
     axes.set(xlabel="normal force (N)", ylabel=_MEDIAN_CURL.axis_label)
-    return finished(axes)
+    return finished(axes, f"True {_MEDIAN_CURL.long_name} during a simulated press. n = {len(field.force)} frames.")

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from scipy.signal import savgol_filter
 from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.plot.axes_style import finished
+from fingerflow.plot.axes_style import finished, legend_below, line_styles
+from fingerflow.plot.captions import describe
 
 Values = NDArray[np.float64]
 FRICTIONS = (0.02, 0.05, 0.2, 1.0)
@@ -30,6 +30,7 @@ _ELEMENTS = 1001  # twice the paper's: contact grows by whole elements, which sh
 _SLOPE_S = 0.12  # interval of the line fit of a rate, in which contact grows by some elements
 _MAP_CELLS = 241
 _RADII = 201
+_SINCE = "Strains count from the undeformed finger."
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,10 @@ class Profile:
 def simulate_presses(
     friction: Sequence[float] = FRICTIONS, times: int = _TIMES, elements: int = _ELEMENTS
 ) -> SimulatedPresses:
-    """Press a chain whose contact has the printed area with a force that rises to 3 N in a second, at each friction."""
+    """Simulate a press with a force that rises to 3 N in a second, at each friction coefficient.
+
+    The contact of the skin chain has the area printed in the paper.
+    """
     time = torch.linspace(0, 1.0, times, dtype=torch.float64)
     force = 3.0 * time
     skin = PARAMETERS["fitted"]
@@ -95,11 +99,17 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]
     for row, extent, strain, friction in zip(axes, extents, strains, (LOW, HIGH), strict=True):
         for one, values, name in zip(row, np.moveaxis(100 * strain, -1, 0), ("xx", "yy", "xy"), strict=True):
             image = one.imshow(values, extent=extent, **scale)
-            one.set_title(rf"$\epsilon_{{{name}}}$, friction {friction:g}", fontsize="medium")
+            one.set_title(rf"$\epsilon_{{{name}}}$, friction {friction:g}")
         row[0].set_ylabel("mm")
+        row[0].locator_params(nbins=3)
     for one in axes[-1]:
         one.set_xlabel("mm")
     part.colorbar(image, ax=list(axes.flat), label="strain (%)", shrink=0.7)
+    describe(
+        axes.flat[0],
+        "Green-Lagrange strains of the skin over the contact at full load, from the skin chain turned about its axis, "
+        f"one row a friction coefficient. {_SINCE}",
+    )
     return axes
 
 
@@ -114,6 +124,11 @@ def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axe
         one.set(title=f"friction {friction:g}", xlabel="mm")
     axes[0].set_ylabel("mm")
     part.colorbar(image, ax=list(axes), label="mJ/mm³", shrink=0.8)
+    describe(
+        axes[0],
+        "Strain energy density over the contact at full load, from the skin chain turned about its axis, one map a "
+        f"friction coefficient. {_SINCE}",
+    )
     return axes
 
 
@@ -126,7 +141,16 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
         if rate:
             series = _rate(series, presses.time)
         _draw_series(one, presses, series)
+        if (own := one.get_legend()) is not None:
+            own.remove()
         one.set(ylabel=f"median {name} strain{' rate (%/s)' if rate else ' (%)'}")
+    legend_below(part, axes[0])
+    derived = f", by line fits over {_SLOPE_S:g} s" if rate else ""
+    describe(
+        axes[0],
+        f"Medians along the contact of the radial and hoop strain{' rate' * rate} of the skin chain{derived}, against "
+        f"the normal force. {_SINCE} n = {len(presses.friction)} presses.",
+    )
     return axes
 
 
@@ -135,6 +159,12 @@ def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False
     energy = presses.energy()
     _draw_series(axes, presses, _rate(energy, presses.time) if rate else energy)
     axes.set(ylabel="strain energy rate (mJ/s)" if rate else "total strain energy (mJ)")
+    derived = f" rate, by line fits over {_SLOPE_S:g} s," if rate else ""
+    describe(
+        axes,
+        f"Strain energy{derived} of the skin in contact to a depth of {DEPTH_MM:g} mm, of the skin chain, against the "
+        f"normal force. {_SINCE} n = {len(presses.friction)} presses.",
+    )
     return axes
 
 
@@ -146,6 +176,11 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
     own = np.take_along_axis(moved, furthest[None, :, None], axis=-1)[..., 0]
     _draw_series(axes, presses, np.abs(_rate(own, presses.time)))
     axes.set(ylabel="speed of the furthest point (mm/s)")
+    describe(
+        axes,
+        "Speed along the plate of the element of the skin chain that is displaced furthest in contact, by line fits "
+        f"over {_SLOPE_S:g} s, against the normal force. n = {len(presses.friction)} presses.",
+    )
     return axes
 
 
@@ -154,21 +189,21 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
-    axes.bar(names, largest, 0.6, color=friction_colours(presses))
+    axes.bar(names, largest, 0.6, color=[style["color"] for style in line_styles(len(names), ordered=True)])
     axes.set(xlabel="friction coefficient", ylabel="largest displacement (mm)")
-    return finished(axes)
+    return finished(
+        axes,
+        "Largest displacement along the plate in contact at full load, of the skin chain, by friction coefficient. "
+        f"n = {len(presses.friction)} presses.",
+    )
 
 
 def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
-    for values, friction, colour in zip(series.T, presses.friction, friction_colours(presses), strict=True):
-        axes.plot(presses.force, values, color=colour, linewidth=1.2, label=f"friction {friction:g}")
+    styles = line_styles(len(presses.friction), ordered=True)
+    for values, friction, style in zip(series.T, presses.friction, styles, strict=True):
+        axes.plot(presses.force, values, label=f"friction {friction:g}", **style)
     axes.set(xlabel="normal force (N)")
     finished(axes)
-
-
-def friction_colours(presses: SimulatedPresses) -> Any:
-    """Return one colour a friction (K, 4), in the order of the presses from dark to light."""
-    return colormaps["viridis"](np.linspace(0, 0.9, len(presses.friction)))
 
 
 def _rate(series: Values, time: Values) -> Values:
@@ -187,7 +222,7 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, by turning each chain about its axis.
+    """Return extents (mm) and strain maps (2, H, W, 3) of the contact at low and high friction, by rotational symmetry.
 
     They are those at full load; NaN off contact.
     """

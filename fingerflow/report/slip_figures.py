@@ -15,7 +15,9 @@ from fingerflow.models.partial_slip import (
     stuck_area,
 )
 from fingerflow.models.partial_slip.verdict import CORRIDOR
-from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished, line_styles
+from fingerflow.plot.captions import describe
+from fingerflow.plot.rounding import with_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 PRINTED = "moved by less than 40 µm"
@@ -40,16 +42,24 @@ def draw_motion(
     axes.quiver(
         *feet[shown].T, *arrows[shown].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
     )  # fmt: skip
-    for outline, colour, name in ((contact_outline, INK, "contact"), (stuck_outline, RED, "stuck")):
+    for outline, colour, dashes, name in (
+        (contact_outline, INK, "--", "contact"),
+        (stuck_outline, RED, "-", "stuck"),
+    ):
         if outline is not None and len(np.asarray(outline)):
             ring = np.asarray(outline, dtype=float)
-            axes.plot(*np.append(ring, ring[:1], 0).T, "--", color=colour, linewidth=1.6, label=name)
+            axes.plot(*np.append(ring, ring[:1], 0).T, color=colour, linestyle=dashes, linewidth=1.4, label=name)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if not axes.yaxis_inverted():
         axes.invert_yaxis()
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
+        axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
+    describe(
+        axes,
+        "Displacement of the skin as arrows at scale 1, with the outlines of the gross contact and of the stick "
+        f"region. n = {int(shown.sum())} points.",
+    )
     return axes
 
 
@@ -72,7 +82,8 @@ def draw_trial(
     if np.isfinite(verdict.loss_load_ratio):
         edges = verdict.loss_load_ratio * (1 - CORRIDOR), verdict.loss_load_ratio * (1 + CORRIDOR)
         axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
-    if _draw_collapse(axes, load, area, verdict):
+    collapses = _draw_collapse(axes, load, area, verdict)
+    if collapses:
         axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
         deviation = verdict.critical_area_std
         axes.axhspan(
@@ -81,26 +92,40 @@ def draw_trial(
     if fit is not None and fit.identified:
         _draw_fit(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
-    return finished(axes)
+    known = int((np.isfinite(area) & np.isfinite(load)).sum())
+    said = [
+        "Stuck area over contact area, d², against the friction ratio T/N, tangential over normal force; yellow: "
+        f"T/N within {100 * CORRIDOR:g} % of its value at the complete loss of adhesion."
+    ]
+    if collapses:
+        critical = with_uncertainty(verdict.critical_area, verdict.critical_area_std)
+        said.append(f"Dotted, with a band of ± one standard deviation: critical d² {critical}. Thick: its collapse.")
+    return finished(axes, " ".join([*said, f"n = {known} frames."]))
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for a set: d^2 against T/N relative to the loss, coloured by verdict, with counts.
+    """Draw figures 2 b and c for many trials: d^2 against T/N relative to the loss of adhesion, coloured by verdict.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """
-    colours = {"vanishes abruptly": RED, "diminishes": INK, "inconclusive": GREY}
+    styles = dict(zip(("diminishes", "vanishes abruptly", "inconclusive"), line_styles(3), strict=True))
     axes.axvspan(1 - CORRIDOR, 1 + CORRIDOR, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
     for area, load, verdict in trials:
         if verdict.loss_load_ratio > 0:
             shown = slice(0, verdict.loss_frame + 1)
             scaled = np.asarray(load, dtype=float)[shown] / verdict.loss_load_ratio
-            axes.plot(scaled, np.asarray(area, dtype=float)[shown], color=colours[verdict.outcome], linewidth=0.8)
-    for outcome, colour in colours.items():
+            axes.plot(scaled, np.asarray(area, dtype=float)[shown], linewidth=0.8, **styles[verdict.outcome])
+    for outcome, style in styles.items():
         count = sum(verdict.outcome == outcome for *_, verdict in trials)
-        axes.plot([], [], color=colour, label=f"{outcome}: {count}")
+        axes.plot([], [], label=f"{outcome}: {count}", **style)
     axes.set(xlabel="T/N over its value at the loss of adhesion", ylabel=AREA, ylim=(-0.03, 1.05), xlim=(0, 1.15))
-    return finished(axes)
+    drawn = sum(verdict.loss_load_ratio > 0 for *_, verdict in trials)
+    return finished(
+        axes,
+        "Stuck area over contact area, d², of each trial until its complete loss of adhesion, against the friction "
+        f"ratio T/N relative to that at the loss; yellow: within {100 * CORRIDOR:g} % of it. n = {len(trials)} trials, "
+        f"{drawn} of them with a complete loss.",
+    )
 
 
 def draw_over_time(
@@ -122,18 +147,21 @@ def draw_over_time(
         axes.fill_between(when, area - spread, area + spread, color=INK, alpha=0.15, linewidth=0, label="± 1 deviation")
     if printed_area is not None:
         axes.plot(when, np.asarray(printed_area, dtype=float), "--", color=YELLOW, linewidth=1, label=PRINTED)
-    _draw_collapse(axes, when, area, verdict)
+    collapses = _draw_collapse(axes, when, area, verdict)
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")
     axes.set(xlabel="time (s)", ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
-    return finished(axes)
+    collapse = with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)
+    lasts = f" Thick: the collapse, {collapse} ms (± one standard deviation)." if collapses else ""
+    return finished(axes, f"d² against time.{lasts} n = {int(np.isfinite(area).sum())} frames.")
 
 
 def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: TrialVerdict) -> bool:
     """Draw the collapse of the stuck area if there is one, and return whether there is."""
     if verdict.outcome != "vanishes abruptly":
         return False
-    collapse, name = slice(verdict.collapse_frame, verdict.loss_frame + 1), f"collapse, {verdict.collapse_ms:.0f} ms"
+    collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
+    name = f"collapse, {with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
     axes.plot(x[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
     return True
 

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
+from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style, new_figure
+from fingerflow.plot.captions import describe
+from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.outlines import contact_outline, stuck_outline
-from fingerflow.report.picture_files import save_figure
+from fingerflow.plot.panels import captions_of, row_of_panels
+from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
-from fingerflow.results.atomic_write import is_marked, keep_others
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,12 @@ class SlipTrial:
         fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None
         return cls(name, result, verdict, fit)
 
+    @property
+    def words(self) -> str:
+        """Return the name of the trial without path: that of its scene file, or of the folder of a `scene.toml`."""
+        path = Path(self.name)
+        return path.parent.resolve().name if path.stem == "scene" else path.stem
+
     def load_ratio(self) -> NDArray[np.float64]:
         """Return the load ratio T/N in each frame (F,), NaN without forces."""
         if "load_ratio" in self.result:
@@ -44,21 +53,22 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return as one line the verdicts on a trial by change point, published rule and model, with their numbers."""
+    """Return one line with the verdicts on a trial by change point, published rule and model."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
         numbers.append(f"T/N {found.loss_load_ratio:.2f} at the loss")
     if found.outcome == "vanishes abruptly":
         numbers.append(
-            f"extent d {found.critical_extent:.2f}, collapse {found.collapse_ms:.0f} ± {found.collapse_ms_std:.0f} ms, "
-            f"{found.collapse_rate:.1f} ± {found.collapse_rate_std:.1f} per second"
+            f"extent d {found.critical_extent:.2f}, "
+            f"collapse {with_uncertainty(found.collapse_ms, found.collapse_ms_std)} ms, "
+            f"{with_uncertainty(found.collapse_rate, found.collapse_rate_std)} per second"
         )
     return f"{trial.name}: {found.outcome} ({'; '.join(numbers)})"
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return as one line the number of trials of each verdict, by the change point and by the published rule."""
+    """Return one line with the number of trials of each verdict, by the change point and by the published rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -71,50 +81,52 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
     return f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}: " + "; ".join(lines)
 
 
-def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False) -> Path:
-    """Write one figure per trial (`trial_figure`), and `trials.png` with all trials; return the folder.
+def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False, files: FigureFiles = PNG) -> Path:
+    """Write one figure per trial (`trial_figure`), and `trials` with all trials; return the folder.
 
     Raises:
         FingerflowError: without ``overwrite``, a file would be replaced that fingerflow has not written; nothing is
             written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths: list[Path] = []
+    names: list[str] = []
     for trial in trials:
-        path = Path(trial.name)
-        stem = name = path.parent.resolve().name if path.stem == "scene" else path.stem
+        stem = name = trial.words
         number = 1
-        while name == "trials" or folder / f"{name}.png" in paths:
+        while name in ("trials", *names):
             number += 1
             name = f"{stem}-{number}"
-        paths.append(folder / f"{name}.png")
-    for path in (*paths, folder / "trials.png"):
-        keep_others(path, is_marked, overwrite)
-    for trial, path in zip(trials, paths, strict=True):
-        save_figure(trial_figure(trial), path)
-    figure = Figure(figsize=(6, 4.5), layout="constrained")
-    draw_trials(
-        figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
-    )
-    save_figure(figure, folder / "trials.png")
+        names.append(name)
+    for name in (*names, "trials"):
+        files.keep_others(folder, name, overwrite)
+    for trial, name in zip(trials, names, strict=True):
+        files.save(trial_figure(trial, files.width_mm or TWO_COLUMNS_MM), folder, name)
+    with figure_style(files.width_mm or ONE_COLUMN_MM):
+        figure = new_figure(0.8)
+        draw_trials(
+            figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
+        )
+    files.save(figure, folder, "trials")
     return folder
 
 
-def trial_figure(trial: SlipTrial) -> Figure:
+def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
     """Draw a trial: skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    # The last frame of slow loading: later the stick region has almost vanished.
-    frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-    position, one = np.asarray(result["position"]), result.isel(frame=frame)
-    draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
-    left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
-    printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
-    draw_trial(middle, area, load, verdict, trial.fit, printed)
-    draw_over_time(right, result["time"], area, verdict, deviation, printed)
-    figure.suptitle(f"{trial.name}: {verdict.outcome}, as printed: {verdict.printed_outcome}")
+    with figure_style(width_mm):
+        figure, parts = row_of_panels(3, width_mm)
+        left, middle, right = (part.subplots() for part in parts)
+        # The last frame of slow loading: later the stick region has almost vanished.
+        frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
+        position, one = np.asarray(result["position"]), result.isel(frame=frame)
+        draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
+        printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
+        draw_trial(middle, area, load, verdict, trial.fit, printed)
+        draw_over_time(right, result["time"], area, verdict, deviation, printed)
+    captions = captions_of(parts)
+    captions[0] += f" At {float(result['time'][frame]):.2f} s, the end of slow loading."
+    describe(figure, "\n".join((f"Trial {verdict_line(replace(trial, name=trial.words))}.", *captions)))
     return figure
 
 

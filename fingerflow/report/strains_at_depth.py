@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
-from fingerflow.plot.axes_style import GREY, finished
-from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, friction_colours
+from fingerflow.plot.axes_style import GREY, finished, legend_below, line_styles
+from fingerflow.plot.captions import describe
+from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 
 Values = NDArray[np.float64]
 _REACH_MM = 5.0  # along the surface from the middle of the contact
@@ -58,16 +58,22 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
-    for frame, colour in zip(frames, colormaps["viridis"](np.linspace(0.9, 0, _SHAPES)), strict=True):
+    for frame, style in zip(frames, reversed(line_styles(_SHAPES, ordered=True)), strict=True):
         x, z = 1e3 * presses.chain.position[frame, k].T.numpy()
         name = f"{presses.force[frame]:.1f} N"
-        axes[0].plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), color=colour, linewidth=1.2, label=name)
-        axes[1].plot(x, z, color=colour, linewidth=1.2)
+        axes[0].plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), label=name, **style)
+        axes[1].plot(x, z, **style)
     axes[1].axhline(0, color=GREY, linewidth=0.8)
     axes[0].set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
     axes[1].set(xlabel="along the plate (mm)", ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
     for one in axes:
-        finished(one)
+        one.grid(alpha=0.25)
+    legend_below(part, axes[0])
+    describe(
+        axes[0],
+        f"Pressure on the skin and its shape at n = {_SHAPES} forces of one press of the skin chain, friction "
+        f"coefficient {HIGH:g}.",
+    )
     return axes
 
 
@@ -80,8 +86,14 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
     axes[0].set(ylabel="pressure (kPa)", title=f"{presses.force[-1]:.1f} N")
     axes[1].set(xlabel="along the plate (mm)", ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
-    finished(axes[0])
-    axes[1].grid(alpha=0.25)  # without a legend: the same lines as above
+    for one in axes:
+        one.grid(alpha=0.25)
+    legend_below(part, axes[0])
+    describe(
+        axes[0],
+        f"Pressure and traction on the skin at {presses.force[-1]:.1f} N. n = {len(presses.friction)} presses of the "
+        "skin chain.",
+    )
     return axes
 
 
@@ -98,6 +110,11 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
         one.set(ylabel="depth (mm)", title=f"friction {friction:g}", ylim=(depth.map_depth[-1], 0))
     axes[1].set_xlabel("along the plate (mm)")
     part.colorbar(image, ax=list(axes), label=r"$\sigma_z$ (kPa)")
+    describe(
+        axes[0],
+        f"Normal stress σz inside the skin at {presses.force[-1]:.1f} N, tension positive, at a low and a high "
+        "friction coefficient. Dots: depths of receptors.",
+    )
     return axes
 
 
@@ -111,13 +128,14 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
         one.set_ylabel(name)
         one.grid(alpha=0.25)
     peak = depth.receptor_stress[1].min(-1)
-    axes[0].set_title(f"peak of $\\sigma_z$, {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
-    handles, labels = axes[0].get_legend_handles_labels()
-    part.legend(
-        handles, labels, frameon=False, fontsize="small", ncols=len(labels), loc="outside lower center",
-        columnspacing=1.0, handlelength=1.2,
-    )  # fmt: skip
+    axes[0].set_title(f"peak of $\\sigma_z$, {_ratio(presses, peak)}, in print 1.2")
+    legend_below(part, axes[0])
     axes[2].set_xlabel("along the plate (mm), 2 mm deep")
+    describe(
+        axes[0],
+        f"Stresses 2 mm deep at {presses.force[-1]:.1f} N: along the surface σy, normal σz and shear τyz. "
+        f"n = {len(presses.friction)} presses of the skin chain.",
+    )
     return axes
 
 
@@ -129,6 +147,7 @@ def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth
     image = axes.pcolormesh(depth.place, presses.time, strain, cmap="RdBu_r", vmin=-largest, vmax=largest)
     axes.set(xlabel="along the plate (mm), 2 mm deep", ylabel="time (s)", title=f"friction {HIGH:g}")
     part.colorbar(image, ax=axes, label=r"$\epsilon_y$ (%), extension positive")
+    describe(axes, f"Viscoelastic strain along the surface 2 mm deep, in one press at friction coefficient {HIGH:g}.")
     return axes
 
 
@@ -139,21 +158,26 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     for series, style in zip(compression.T, _lines(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
-    axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2", fontsize="medium")
-    return finished(axes)
+    axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2")
+    return finished(
+        axes,
+        "Compression of the tissue 2 mm under the middle of the contact against time. "
+        f"n = {len(presses.friction)} presses of the skin chain.",
+    )
 
 
 def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return the line styles of the presses, ever thinner, as nearly equal curves would hide each other."""
-    widths = np.linspace(3.5, 0.9, len(presses.friction))
+    """Return line styles of decreasing width for the presses, so that nearly equal curves stay visible."""
+    widths = np.linspace(2.6, 0.8, len(presses.friction))
+    styles = line_styles(len(presses.friction), ordered=True)
     return [
-        {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}
-        for friction, colour, width in zip(presses.friction, friction_colours(presses), widths, strict=True)
+        {**style, "linewidth": width, "label": f"friction {friction:g}"}
+        for friction, style, width in zip(presses.friction, styles, widths, strict=True)
     ]
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return as text the ratios of values (K,) at the high friction to those at the low and at the least friction."""
+    """Return a text with the ratios of values (K,) at high friction to those at low and at least friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

@@ -102,7 +102,7 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
 
 
 def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
-    """Return two key frames: that of the largest value, and the first one with at least half of that value."""
+    """Return two key frames: the frame of the largest value, and the first frame with at least half of it."""
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
     return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]

@@ -6,21 +6,23 @@ An answer is correct if the vibrating comparison was felt as more slippery than 
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
-from fingerflow.plot.axes_style import GREY, INK, RED, finished
+from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
+from fingerflow.plot.rounding import with_interval, with_uncertainty
+from fingerflow.plot.wording import definition_of, sentence
 from fingerflow.schema.trial_columns import NUMBERS
 
 Values = NDArray[np.float64]
-ANSWERED = 'p(comparison is "more slippery")'
+ANSWERED = "p(more slippery)"
 DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
+_HATCHES = ("", "////", "....")  # of bars, which are told apart without colour
 
 #: Metrics that figures and statistics use, columns of the table of trials.
 METRICS = (
@@ -48,6 +50,11 @@ def label_of(metric: str) -> str:
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
 
+def _defined(metric: str) -> str:
+    less = ", comparison less reference" if metric.endswith(DIFFERENCE) else ""
+    return definition_of(NUMBERS[metric.removesuffix(DIFFERENCE)], less)
+
+
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figures S5 B, C, D and H: histogram of a metric with its mean and standard deviation."""
     values = _shown(trials, metric)
@@ -57,13 +64,17 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
         mean, deviation = known.mean(), known.std(ddof=1)
         axes.axvline(mean, color=INK)
         axes.axvspan(mean - deviation, mean + deviation, color=INK, alpha=0.12, linewidth=0)
-        axes.set_title(f"{mean:.3g} ± {deviation:.2g}, {known.size} trials", fontsize="medium")
+        axes.set_title(f"{with_uncertainty(mean, deviation)}, {known.size} trials")
     axes.set(xlabel=label_of(metric), ylabel="trials")
-    return finished(axes)
+    return finished(
+        axes,
+        f"Histogram. {_defined(metric)} Line and band: mean ± one standard deviation over trials. "
+        f"n = {known.size} trials.",
+    )
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of equally many trials, 95 % intervals, an ANOVA.
+    """Draw figures S5 E, F and G: share of answers in eight bins of a metric, with 95 % intervals and an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
@@ -78,9 +89,15 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         middles = np.array([np.median(values[known][group]) for group in groups])
         limits = np.array([_wilson(answers[group], trials.participant[known][group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
-    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(0, 1.03))
-    axes.set_title(_of_anova(repeated_anova(values, trials.answer, trials.participant)), fontsize="medium")
-    return finished(axes)
+    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
+    test = repeated_anova(values, trials.answer, trials.participant)
+    axes.set_title(_of_anova(test))
+    return finished(
+        axes,
+        f"Share of trials in which the comparison was felt as more slippery, in {_BINS} bins of equally many trials at "
+        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_said_of(test)} "
+        f"n = {int(known.sum())} trials.",
+    )
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
@@ -90,28 +107,40 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     conditions, place = _conditions(trials)
     low, high = np.quantile(values[known], (1 / 3, 2 / 3)) if known.any() else (np.nan, np.nan)
     thirds = (
-        (f"below {low:.3g}", values < low),
+        (f"< {low:.3g}", values < low),
         (f"{low:.3g} to {high:.3g}", (values >= low) & (values < high)),
-        (f"{high:.3g} and more", values >= high),
+        (f"≥ {high:.3g}", values >= high),
     )
-    colours = colormaps["viridis"](np.linspace(0.15, 0.85, 3))
-    for number, ((name, group), colour) in enumerate(zip(thirds, colours, strict=True)):
+    bars = [
+        {"color": style["color"], "hatch": hatch} for style, hatch in zip(line_styles(3, True), _HATCHES, strict=True)
+    ]
+    for number, ((name, group), bar) in enumerate(zip(thirds, bars, strict=True)):
         counted = [trials.answer[group & (place == index)] for index in range(len(conditions))]
         shares = [float(some.mean()) if some.size else np.nan for some in counted]
-        axes.bar(np.arange(len(conditions)) + 0.27 * (number - 1), shares, 0.25, color=colour, label=name)
-    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
-    axes.set_yticks(np.linspace(0, 1, 6))
-    axes.set_title(
-        f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants", fontsize="medium"
+        axes.bar(
+            np.arange(len(conditions)) + 0.27 * (number - 1),
+            shares,
+            0.25,
+            label=name,
+            edgecolor="white",
+            linewidth=0,
+            **bar,
+        )
+    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
+    size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
+    axes.set_title(size)
+    return finished_beside(
+        axes,
+        label_of(metric),
+        "Share of trials in which the comparison was felt as more slippery, by vibration amplitude, for trials in the "
+        f"low, middle and high third of the metric. {_defined(metric)} n = {size}.",
     )
-    finished(axes)
-    axes.legend(frameon=False, fontsize="small", title=label_of(metric), title_fontsize="small", ncols=3)
-    return axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric by vibration amplitude, with trials, median, mean ± SD,
-    ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric of the trials by vibration amplitude, with an ANOVA.
+
+    Trials, medians and mean ± SD are drawn.
 
     Args:
         axes: axes to draw into.
@@ -138,8 +167,13 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
-    axes.set_title(_of_anova(test), fontsize="medium")
-    return finished(axes)
+    axes.set_title(_of_anova(test))
+    over = f"{sentence(label)}, the median of the participant's trials."
+    return finished(
+        axes,
+        f"Dots: trials, by vibration amplitude. {over if normalised else _defined(metric)} Line: median; bar: mean ± "
+        f"one standard deviation over trials. {_said_of(test)} n = {int(np.isfinite(values).sum())} trials.",
+    )
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
@@ -150,17 +184,22 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     """
     values = _shown(trials, metric)
     conditions, _ = _conditions(trials)
-    colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
     medians, shares, condition, who = dots_of(trials, values)
-    for index, colour in enumerate(colours):
+    for index, style in enumerate(dot_styles(len(conditions))):
         own = condition == index
-        axes.plot(medians[own], shares[own], "o", color=colour, markersize=4, label=conditions[index])
+        axes.plot(medians[own], shares[own], label=conditions[index], **style)
     found = spearman(medians, shares, participants=who)
-    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
-    axes.locator_params(axis="x", nbins=6)
+    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.05))
+    axes.locator_params(axis="x", nbins=5)
     size = f"{found.trials} dots of {found.participants} participants"
-    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}", fontsize="medium")
-    return finished_beside(axes, AMPLITUDE)
+    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}")
+    return finished_beside(
+        axes,
+        AMPLITUDE,
+        "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
+        f"participant and amplitude. {_defined(metric)} Spearman's rank correlation (95 % interval): "
+        f"{with_interval(found.value, *found.interval)}, {_p(found.p)}; n = {size}.",
+    )
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
@@ -169,14 +208,19 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     found = pearson(x, y)
     if np.isfinite(found.value):
         both = np.isfinite(x) & np.isfinite(y)
-        slope, offset = np.polyfit(x[both], y[both], 1)
+        line = stats.linregress(x[both], y[both])
         ends = np.array([x[both].min(), x[both].max()])
-        sign = "+" if offset >= 0 else "-"
-        name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
-        axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
+        slope = with_uncertainty(line.slope, line.stderr)
+        offset = with_uncertainty(line.intercept, line.intercept_stderr)
+        axes.plot(ends, line.slope * ends + line.intercept, color=RED, linewidth=1.2)
+        axes.set_title(f"slope {slope}, offset {offset}, R² = {found.value**2:.2f}")
     axes.set(xlabel=label_of(first), ylabel=label_of(second))
-    axes.set_title(f"{np.unique(trials.participant).size} participants, {found.trials} trials", fontsize="medium")
-    return finished(axes)
+    size = f"{found.trials} trials of {np.unique(trials.participant).size} participants"
+    return finished(
+        axes,
+        f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} Line: least squares; "
+        f"± one standard error, trials taken as independent. n = {size}.",
+    )
 
 
 def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
@@ -184,8 +228,13 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
     found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
     low, high = found.interval
     axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
-    axes.set_title(f"r = {found.value:.2f} ({low:.2f} to {high:.2f}), {found.trials} trials", fontsize="medium")
-    return finished(axes)
+    axes.set_title(f"r = {with_interval(found.value, low, high)}, {found.trials} trials")
+    return finished(
+        axes,
+        f"One dot a trial, one marker a participant. {_defined('divergence')} {_defined('curl')} r: Pearson's "
+        f"correlation with its 95 % interval, participants as units. n = {found.trials} trials of "
+        f"{np.unique(trials.participant).size} participants.",
+    )
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
@@ -212,12 +261,12 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
     return names, np.array([np.median(known) if known.size else np.nan for known in own])
 
 
-def finished_beside(axes: Axes, title: str) -> Axes:
+def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
     """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
-    finished(axes)
+    finished(axes, caption)
     axes.legend(
-        frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
-        title_fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.1,
+        frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,
+        handlelength=2.4 if axes.lines and axes.lines[0].get_linestyle() != "None" else 0.8,
     )  # fmt: skip
     return axes
 
@@ -226,9 +275,9 @@ def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) ->
     """Draw a metric against another, one colour a participant; return the values of both in the units of the axes."""
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
-    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
+    for name, style in zip(names, dot_styles(names.size), strict=True):
         own = trials.participant == name
-        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+        axes.plot(x[own], y[own], markersize=2.5, markeredgewidth=0, **style)
     return x, y
 
 
@@ -275,10 +324,16 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
 
 def _of_anova(test: Anova) -> str:
     """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
-    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     if np.isnan(test.f):
-        return f"no F, {size}"
+        return "no F"
+    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
+
+
+def _said_of(test: Anova) -> str:
+    """Return a sentence on an analysis of variance for captions."""
+    reason = f" ({test.reason})" if test.reason else ""
+    return f"ANOVA with participants as a random effect: {_of_anova(test)}{reason}."
 
 
 def _p(value: float) -> str:

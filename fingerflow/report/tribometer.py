@@ -12,7 +12,8 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
-from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import GREEN, GREY, INK, YELLOW, finished, line_styles
+from fingerflow.plot.captions import describe
 from fingerflow.recordings import open_forces
 
 #: Signals of a trace, with the unit they are converted to.
@@ -91,8 +92,9 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
     pressed = normal > 0
     ratio = np.where(pressed, np.abs(tangential) / np.where(pressed, normal, 1), np.nan)
     forces, coefficient, place, envelope = axes
-    forces.plot(time, normal, color=INK, linewidth=0.8, label="normal")
-    forces.plot(time, tangential, color=RED, linewidth=0.8, label="tangential")
+    normal_style, tangential_style = line_styles(2)
+    forces.plot(time, normal, linewidth=0.8, label="normal", **normal_style)
+    forces.plot(time, tangential, linewidth=0.8, label="tangential", **tangential_style)
     coefficient.plot(time, ratio, color=INK, linewidth=0.8)
     place.plot(time, 1e3 * position, color=GREEN, linewidth=1)
     envelope.plot(time, 1e6 * amplitude, color=GREY, linewidth=0.8)
@@ -110,7 +112,12 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
         finished(one)
     low, high = forces.get_ylim()
     forces.set_ylim(low, high + 0.5 * (high - low))  # room for the legend
-    forces.legend(frameon=False, fontsize="small", ncols=2, loc="upper right")
+    forces.legend(frameon=False, ncols=2, loc="upper right")
+    describe(
+        forces,
+        "Normal and tangential force, their ratio, position of the finger and amplitude of the vibration during one "
+        f"trace; yellow: n = {count} epochs in which the finger slides leftwards while the amplitude rises.",
+    )
     return axes
 
 
@@ -123,10 +130,14 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
     name = f"median and quartiles of {int(count.max(initial=0))} epochs"
     axes.errorbar(middles, median, spread / 2, fmt="o-", color=INK, markersize=4, capsize=3, label=name)
     axes.set(xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, _enough(epochs.median.numpy())))
-    return finished(axes)
+    return finished(
+        axes,
+        "Friction coefficient |T|/N against the amplitude of the vibration. Grey: median of each epoch. Dots: median "
+        f"over epochs; bars: lower to upper quartile. n = {int(count.max(initial=0))} epochs.",
+    )
 
 
 def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile of values, so that a few large values do not matter."""
+    """Return an upper axis limit from the 0.99 quantile of values, to ignore outliers."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

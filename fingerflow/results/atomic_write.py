@@ -1,4 +1,4 @@
-"""Atomic writing of output files, and protection of inputs and unrelated files from being overwritten."""
+"""Write output files atomically, and protect inputs and unrelated files from being overwritten."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Check that writing an output spares the input files of a command: none of them may be overwritten.
+    """Check that an output path overwrites none of the input files of a command.
 
     Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
@@ -51,7 +51,7 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether a file contains the `MARK` of this package in the first or last MiB, where metadata is stored."""
+    """Return whether a file contains the `MARK` of this package in its metadata (first or last MiB)."""
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)

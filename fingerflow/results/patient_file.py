@@ -26,8 +26,9 @@ class Refusal(NamedTuple):
 
 
 class PatientFile:
-    """Writer that appends to a file; while the disk is full, data is buffered in memory and writing is retried each
-    second.
+    """Writer that appends to a file, and buffers data in memory while the disk is full.
+
+    Writing is retried each second.
 
     Nothing is lost if space is freed within half a minute; after that, `flush` raises the error of the disk. `flush`
     returns at once in between, unless `wait` is set or the buffer exceeds 256 MiB.
@@ -91,7 +92,7 @@ class PatientFile:
         os.close(self._file)
 
     def _bear(self, error: OSError) -> None:
-        """Raise a write error, except for a disk that has been full for less than half a minute."""
+        """Raise a write error, unless the disk has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

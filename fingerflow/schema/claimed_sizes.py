@@ -14,8 +14,7 @@ _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
 
 
 def impossible_picture(data: bytes | memoryview) -> str:
-    """Return why the sizes claimed in a PNG, JPEG or BMP file are impossible for a file of this length, or "" if
-    possible.
+    """Return why the image size claimed in a PNG, JPEG or BMP file is impossible for its length; "" if it is possible.
 
     The text continues a sentence that begins with the name of the file.
     """

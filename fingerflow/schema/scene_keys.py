@@ -173,7 +173,7 @@ _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name o
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
-    """Split the name of a key into words without the unit, and the unit, which is "" if the name has none."""
+    """Split the name of a key into words and unit; the unit is "" if the name has none."""
     if name == "mm_per_px":
         return "scale", "mm/px"
     for end, unit in _UNITS.items():

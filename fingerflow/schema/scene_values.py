@@ -1,4 +1,4 @@
-"""Validation of single values in a scene file: returns the converted value, or raises an error that states why not."""
+"""Validation of single values in a scene file, and conversion to the type of the key."""
 
 import math
 import re

@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.spreadsheet_cell import plain_cell
 
 ANSWERS = {"1": True, "true": True, "0": False, "false": False}
 NOTHING = ("", "nan", "na")  # a cell without a value
@@ -33,4 +34,4 @@ def read_rows(path: Path) -> list[dict[str, str]]:
             raise FingerflowError(
                 f"{path}, row {number}: {len(row)} cells, the heading has {len(names)}; are commas missing?"
             )
-    return [{name: cell.strip() for name, cell in zip(names, row, strict=True)} for row in rows]
+    return [{name: plain_cell(cell.strip()) for name, cell in zip(names, row, strict=True)} for row in rows]

@@ -1,4 +1,4 @@
-"""Temporary paths for unfinished outputs: naming, renaming on completion, and removal of leftovers of killed runs."""
+"""Manage temporary paths of unfinished outputs: naming, renaming on completion, and removal after killed runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Definition of a result variable, and of the unit in which figures and reports show it."""
+"""Define a result variable, and the unit in which figures and reports show it."""
 
 import math
 from collections.abc import Callable

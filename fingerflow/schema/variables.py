@@ -352,11 +352,23 @@ STRAIN = (
         shown_in=MICROJOULE,
     ),
     Variable(
-        "strain_energy", FRAME, "mJ", "strain energy of the skin in contact between points, less that of noise",
+        "strain_energy", FRAME, "mJ", "strain energy of all skin in contact, up to the border",
+        equation="h ⟨∫_contact w dA⟩, the mean over displacement fields that vanish at an advancing border, given the "
+        "points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w beside it",
+    ),
+    Variable(
+        "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
+        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
+        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²)",
+    ),
+    Variable(
+        "strain_energy_between_points", FRAME, "mJ",
+        "strain energy of the skin in triangles between points in contact, less that of noise",
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
     ),
     Variable(
-        "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy, with that of the border's place",
+        "strain_energy_between_points_std", FRAME, "mJ",
+        "standard deviation of strain_energy_between_points, with that of the border's place",
         equation="√(σ²(points) + (h w̄ p b)²), w̄ the mean w within half a gauge length of the border, p its perimeter, "
         "b = 0.06 mm its deviation",
     ),
@@ -481,9 +493,9 @@ STREAM = (
         equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
     ),
     Variable(
-        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip",
-        "u1", equation="1 where slip_residual > 2 σ in three frames",
-        label="partial slip",
+        "slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
+        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > √(|a + d|² + |b|²)",
+        label="slip",
     ),
     Variable(
         "illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",

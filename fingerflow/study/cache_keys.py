@@ -1,4 +1,4 @@
-"""Cache keys of a trial, which decide whether it must run again: digests of file contents, settings and code.
+"""Compute the cache keys of a trial, which decide whether it must run again.
 
 `result` is the key of the whole result; `row` is the key of the row in the table and includes `result`. Which stages
 depend on a changed setting is decided in `fingerflow.pipeline.reuse`: a changed gauge length reads no image.
@@ -107,7 +107,7 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is unchanged: by its digest, and by its time as well if only samples were digested."""
+    """Return True if a file is unchanged by its digest, and also by its time if only samples were digested."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 

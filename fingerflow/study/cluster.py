@@ -1,4 +1,4 @@
-"""Execution of a study's tasks on Dask: few in flight, robust against the loss of workers or scheduler."""
+"""Execution of a study's tasks on Dask, robust against the loss of workers or of the scheduler."""
 
 import logging
 import os

@@ -3,14 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from fingerflow.models.observer import FORCED_CHOICE
-from fingerflow.plot.axes_style import finished
+from fingerflow.plot.axes_style import TWO_COLUMNS_MM, finished, line_styles
+from fingerflow.plot.captions import caption_of
+from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.plot.wording import sentence
 from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
 from fingerflow.report.trial_metrics import AMPLITUDE, finished_beside
 from fingerflow.schema.trial_columns import NUMBERS
@@ -31,10 +32,24 @@ _AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which show
 _MOST_NAMED = 12  # most conditions in a legend
 
 
+class Figured(NamedTuple):
+    """Outcome for one figure: name, file that a page can show ("" if not drawn), caption, and what was left out."""
+
+    name: str
+    file: str
+    caption: str
+    left_out: tuple[str, ...]
+
+
 def write_figures(
-    frame: Any, sample: Sample, curves: Any, folder: Path, design: str = FORCED_CHOICE
-) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Write the figures of a study as PNG; return for each its name, its file ("" if not drawn), and what was left out.
+    frame: Any,
+    sample: Sample,
+    curves: Any,
+    folder: Path,
+    design: str = FORCED_CHOICE,
+    files: FigureFiles = PNG,
+) -> list[Figured]:
+    """Write the figures of a study and their captions, and return the outcome for each.
 
     Args:
         frame: the table of trials.
@@ -42,9 +57,12 @@ def write_figures(
         curves: the table of averaged curves.
         folder: created if missing.
         design: of the experiment, a name in `GUESSES`.
+        files: formats and width; PNG is added where a page could show none of them.
 
     Raises FingerflowError if a file cannot be written.
     """
+    on_page = [suffix for suffix in files.formats if suffix in ("svg", "png")] or ["png"]
+    files = replace(files, formats=tuple(dict.fromkeys((*files.formats, on_page[0]))))
     written = []
     for name in _FIGURES:
         trials = sample.trials
@@ -68,8 +86,13 @@ def write_figures(
         panels += [_curve_panel(letter, curves, metric) for letter, metric in drawn.items()]
         left_out = [said for said in sheet.left_out if not _about(said, drawn)]
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
-        path = Sheet(name, tuple(sorted(panels, key=lambda panel: panel.letter))).write(folder) if panels else None
-        written.append((name, "" if path is None else path.name, tuple(left_out)))
+        if not panels:
+            written.append(Figured(name, "", "", tuple(left_out)))
+            continue
+        ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
+        figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
+        files.save(figure, folder, name)
+        written.append(Figured(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
     return written
 
 
@@ -81,16 +104,23 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     # The range of the axis follows the means: an interval of two participants is many times wider.
     means = shown.shown_values(own["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
-    for condition, colour in zip(conditions, colormaps["viridis"](np.linspace(0, 0.9, len(conditions))), strict=True):
+    for condition, style in zip(conditions, line_styles(len(conditions), ordered=True), strict=True):
         part = own[own["condition"] == condition]
         force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
-        axes.plot(force, mean, color=colour, label=_named(condition) if len(conditions) <= _MOST_NAMED else None)
+        axes.plot(force, mean, label=_named(condition) if len(conditions) <= _MOST_NAMED else None, **style)
         low, high = shown.shown_values(part["low"]), shown.shown_values(part["high"])
-        axes.fill_between(force, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.fill_between(force, low, high, color=style["color"], alpha=0.15, linewidth=0)
     low, high = axes.get_ylim()
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, float(means.min()) - margin), min(high, float(means.max()) + margin))
-    return finished_beside(axes, AMPLITUDE) if axes.get_legend_handles_labels()[0] else finished(axes)
+    caption = (
+        f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
+        "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
+        f"n = {int(own['participants'].max())} participants, "
+        f"{int(own.groupby('condition')['trials'].max().sum())} trials."
+    )
+    named = bool(axes.get_legend_handles_labels()[0])
+    return finished_beside(axes, AMPLITUDE, caption) if named else finished(axes, caption)
 
 
 def _named(condition: object) -> str:

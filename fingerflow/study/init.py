@@ -14,6 +14,7 @@ from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
 from fingerflow.schema.scene_template import scene_text
+from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.trial_rows import read_rows
 from fingerflow.study.dotted_keys import flattened, nested
@@ -76,7 +77,7 @@ def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     text = io.StringIO()
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: quoted_cell(cell) for name, cell in row.items()} for row in rows)
     write_atomically(table, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
     write_atomically(manifest, lambda part: part.write_text(_manifest_text(shared), encoding="utf-8"))
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}

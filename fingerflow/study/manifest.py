@@ -136,7 +136,7 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each trial the row of its participant and trial number in a file of answers; {} without such a row.
+    """Return for each trial the row of a file of answers with its participant and trial number; {} if there is none.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -160,7 +160,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row of the table of trials for each file name that matches a pattern with names in braces, sorted."""
+    """Return one row for each file name that matches a pattern with names in braces, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()

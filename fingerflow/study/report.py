@@ -1,7 +1,8 @@
 """Index page of a study: all trials with thumbnails and reports, figures and statistics."""
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
+from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.plot.rounding import with_interval, with_uncertainty
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
@@ -19,6 +22,7 @@ from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
+from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.figures import write_figures
@@ -35,14 +39,18 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that has it."""
+    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that deviates."""
 
     deviations: float
     metric: str
 
 
 def write_study_report(
-    manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
+    manifest: Manifest,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+    figure_files: FigureFiles = PNG,
 ) -> Path:
     """Write `index.html`, `statistics.json` and `figures` of a study into its results folder, and the report of each
     trial.
@@ -55,7 +63,7 @@ def write_study_report(
     import pandas as pd
 
     tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves).map(plain_cell)
     sample = sample_of(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
 
@@ -66,7 +74,7 @@ def write_study_report(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
     failed = [said for said in written if said]
-    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design)
+    figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design, figure_files)
     statistics = statistics_of(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
     write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))
@@ -82,10 +90,18 @@ def write_study_report(
         statistics=statistics,
         metrics=NUMBERS,
         pages_failed=failed,
+        with_interval=_with_interval,
+        with_uncertainty=with_uncertainty,
     )
     path = manifest.results / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
+
+
+def _with_interval(value: float, interval: Sequence[float | None]) -> str:
+    """Return an estimate and its interval as text; None, as in JSON, is not known."""
+    low, high = (math.nan if limit is None else limit for limit in interval)
+    return with_interval(value, low, high)
 
 
 def write_page(manifest: Manifest) -> str:

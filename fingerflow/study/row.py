@@ -1,4 +1,4 @@
-"""Summary of one trial's result: a row of numbers, and curves against force on a common grid."""
+"""Summarise the result of one trial as a row of numbers, and as curves against force on a common grid."""
 
 import json
 from functools import cached_property

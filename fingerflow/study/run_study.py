@@ -1,4 +1,4 @@
-"""Selection of the trials of a study that must run, with reasons, and their execution on Dask."""
+"""Select the trials of a study that must run, and run them on Dask."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -148,7 +148,7 @@ def _run_groups(
 
 
 def _by_default(scheduler: str | None) -> int:
-    """Return the default number of trials per group, above 1 only on a GPU of this computer and without a cluster."""
+    """Return the default number of trials per group: above 1 only for a GPU of this computer."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1

@@ -1,4 +1,4 @@
-"""Statistics of the paper from a table of trials, by `fingerflow.models.observer`, and counts of excluded trials."""
+"""Compute the paper's statistics from a table of trials, with counts of the excluded trials."""
 
 import math
 from collections.abc import Mapping
@@ -116,7 +116,9 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 
 
 def holm(p: Mapping[str, float]) -> dict[str, float]:
-    """Return p-values corrected by Holm's method: in rising order p_k becomes the largest (m + 1 - i) p_i of i <= k.
+    """Return p-values corrected for multiple tests by Holm's method.
+
+    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1.
 
     The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays,
     and does not count.

@@ -1,4 +1,4 @@
-"""Table of trials of a study, and curves averaged by condition, from the stored rows of all trials."""
+"""Write the table of trials of a study and the curves averaged by condition, from the stored rows of all trials."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from scipy import stats
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
+from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
 from fingerflow.study.manifest import Manifest, TrialEntry, relative
 from fingerflow.study.row import CURVES, FORCE_GRID
@@ -65,14 +66,14 @@ def write_tables(manifest: Manifest) -> Tables:
     ]
     table = table.cast(pa.schema(fields, metadata=table.schema.metadata))
     write_atomically(paths.trials, lambda part: parquet.write_table(table, part))
-    write_atomically(paths.csv, lambda part: frame.to_csv(part, index=False))
+    write_atomically(paths.csv, lambda part: frame.map(quoted_cell).to_csv(part, index=False))
     variables = pd.DataFrame(
         [(one.name, one.units, one.long_name) for one in described.values() if one.name in frame],
         columns=["column", "unit", "definition"],
     )
     write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
     curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # keeps the heading of an empty table
-    write_atomically(paths.curves, lambda part: curves.to_csv(part, index=False))
+    write_atomically(paths.curves, lambda part: curves.map(quoted_cell).to_csv(part, index=False))
     return paths
 
 

@@ -51,7 +51,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a trial's job: status, reason, and processor time (s) divided by the number of trials in the batch."""
+    """Outcome of a trial's job: status, reason, and share of the processor time (s) of the batch."""
 
     name: str
     status: str
@@ -69,7 +69,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial as a generator of steps that alternate with those of the other trials in a batch."""
+    """Process one trial as a generator of steps, which alternate with the steps of other trials in a batch."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(

@@ -162,7 +162,7 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients for values on a grid, mirrored at its ends and padded by one on each side."""
+    """Return cubic spline coefficients of values on a grid, extended by one at each mirrored end."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 

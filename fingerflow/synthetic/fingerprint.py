@@ -71,7 +71,10 @@ class FingerprintTexture:
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, positive inside a touching ridge; pores and border narrow the ridges."""
+        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+
+        Pores and the border of the contact narrow the ridges.
+        """
         height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]

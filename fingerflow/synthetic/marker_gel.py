@@ -81,11 +81,11 @@ class MarkerGel:
         return result
 
     def pressed(self, frame: int) -> float:
-        """Return the indentation by the object in a frame, relative to the largest: 0 without contact, up to 1."""
+        """Return the indentation depth in a frame as a fraction (0 to 1) of the largest depth."""
         return float(np.interp(self._share(frame), (0.15, 0.3, 0.7, 0.85), (0, 1, 1, 0)))
 
     def sheared(self, frame: int) -> float:
-        """Return the shear of the gel in a frame, relative to the largest one, `shear`."""
+        """Return the shear of the gel in a frame as a fraction (0 to 1) of the largest shear, `shear`."""
         share = self._share(frame)
         if share >= 0.7:
             return float(np.interp(share, (0.7, 0.85), (self.kept, 0)))
@@ -93,11 +93,11 @@ class MarkerGel:
 
     @property
     def slip_frame(self) -> int:
-        """Return the first frame after the onset of gross slip."""
+        """Return the first frame of gross slip."""
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:
-        """Return the extent of partial slip at the rim of the contact in a frame, from 0 to 1."""
+        """Return the degree of partial slip at the contact rim in a frame, from 0 (no slip) to 1."""
         return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
 
     def displacement(self, places: Array, frame: int) -> Array:

@@ -83,7 +83,7 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of a skin motion as a function of position (x, y) and progress, tensors that broadcast."""
+    """Interface of a skin motion, as functions of position (x, y) and progress of the movement."""
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int

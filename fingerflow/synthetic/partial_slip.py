@@ -92,8 +92,7 @@ class PartialSlip(Slide):
 
 @dataclass(frozen=True)
 class PartialSlipMotion(SlideMotion):
-    """Motion of a slide whose stuck ellipse has the area of the partial-slip model; load is linear in progress up to
-    `loaded`.
+    """Motion of a slide whose stuck ellipse has the area of the partial-slip model at a linearly rising load.
 
     With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has moved by creep (f(r -
     s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below. From the border of the stick region the skin

@@ -21,7 +21,9 @@ class Skin(Protocol):
         """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the distance (mm) inside a touching ridge, > 0 where skin touches; exact in sign, else first order.
+        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+
+        The sign is exact, the distance is exact to first order.
 
         Args:
             x, y: material positions, mm.

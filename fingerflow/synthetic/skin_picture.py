@@ -94,7 +94,7 @@ class PictureTexture:
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, positive inside a touching ridge of the image; ``share`` is ignored."""
+        """Return the signed distance, mm, from the edge of a touching ridge, positive inside; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
@@ -108,7 +108,7 @@ class PictureTexture:
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a synthetic press or slide of the finger in an image, the contact as near the print's centre as possible.
+    """Return a synthetic press or slide of the finger in an image, with the contact as close to its centre as possible.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
@@ -184,7 +184,7 @@ def _fading(count: int, period: float) -> Plane:
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return at each pixel the brightest grey level within one ridge distance, which is that of glass or a valley."""
+    """Return at each pixel the brightest grey level within one ridge distance: that of glass or of a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 

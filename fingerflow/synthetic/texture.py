@@ -57,7 +57,10 @@ class RidgeTexture:
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, positive inside a touching ridge; an equal share of every ridge touches."""
+        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+
+        An equal share of every ridge touches.
+        """
         half_width = math.pi * share
         slope = 2 * math.pi / self.period * math.sin(half_width)
         return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)

@@ -93,7 +93,7 @@ class Truth:
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
-        """Return the topography pixels in frame `to_frame` of the skin at given pixels in frame `from_frame`."""
+        """Return the topography pixels, in frame `to_frame`, of skin at given pixels in frame `from_frame`."""
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
@@ -153,8 +153,7 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement gradient (..., 2, 2) since the onset of contact, with respect to positions at that
-        onset.
+        """Return the displacement gradient (..., 2, 2) since the onset of contact, relative to the positions at onset.
 
         With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
         F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
@@ -166,8 +165,7 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient (..., 2, 2) since each point's onset of contact, of all skin around the
-        point.
+        """Return the gradient (..., 2, 2) of the skin's displacement since the given point came into contact.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -283,8 +281,7 @@ class Truth:
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN for points
-        that never do.
+        """Return progress (...) and position (..., 2) at which material points enter the contact; NaN if they never do.
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """

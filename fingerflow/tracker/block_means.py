@@ -53,7 +53,7 @@ def block_means(frames: Array) -> BlockMeans:
 
 @functools.cache
 def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the steps between the lines and pixels read of a frame, and the numbers of rows and columns of blocks."""
+    """Return the sampling steps between lines and between pixels, and the numbers of rows and columns of blocks."""
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
     read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))
@@ -62,7 +62,7 @@ def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:
-    """Sum values over `pieces` parts of an axis; return the sums and the number of values in each part.
+    """Split an axis into `pieces` parts; return the sum of the values in each part, and the number of values in each.
 
     Neighbouring pieces share a value where the axis is no multiple of their number.
     """

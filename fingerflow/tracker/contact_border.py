@@ -32,7 +32,7 @@ class Border(NamedTuple):
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the depth (frames, P) mm of P positions (frames, P, 2) inside the border ellipses; negative outside.
+        """Return the depth (frames, P) in mm of positions (frames, P, 2) inside the border ellipses; negative outside.
 
         It is accurate to first order, and exact on the border.
         """

@@ -43,7 +43,7 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (N,) of the points advected into the contact, in contrast to those that contact growth covered.
+    """Return a mask (N,) of points that moved into the contact (advected); other points were reached by its growth.
 
     A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
     than half the distance by which border and point approached each other. Neighbours enter one after the other as the
@@ -70,14 +70,14 @@ def advected(
     counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
     here = np.flatnonzero(counts)
     found = np.zeros(len(onset), dtype=bool)
-    found[here] = _by_own_way(position, here, onset[here], reference[here], gauge_mm, border)
+    found[here] = _by_own_motion(position, here, onset[here], reference[here], gauge_mm, border)
     return with_neighbours(found, places, counts, NEAR * gauge_mm)
 
 
-def _by_own_way(
+def _by_own_motion(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (E,) of the points that entered the contact by their own motion, not by growth of the contact.
+    """Return a mask (E,) of points that approached the contact border mainly by their own motion.
 
     `here` (E,) are the indices of these points in `position`.
     """
@@ -100,7 +100,7 @@ def _by_own_way(
 
 
 def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """Extend a mask `found` (N,): mark points of `among` with at least two marked points among the nearest three.
+    """Extend a mask `found` (N,) by points of `among` of whose nearest three points at least two are marked.
 
     Only neighbours within `reach_mm` count.
     """
@@ -117,7 +117,7 @@ def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) 
 
 
 class SinceEntry(NamedTuple):
-    """Displacement gradients of E advected points in n frames, counted from the entry of each point into the contact.
+    """Displacement gradients of E advected points in n frames, since the entry of each point into the contact.
 
     They are NaN before the entry and where too little is known.
     """
@@ -127,7 +127,7 @@ class SinceEntry(NamedTuple):
 
 
 class EntryGradients:
-    """Computation of displacement gradients counted from the entry of each point into the contact.
+    """Computation of displacement gradients since the entry of each point into the contact.
 
     Frames are given in order of time.
     """
@@ -167,8 +167,8 @@ class EntryGradients:
 class Entries:
     """Detection of advected points in a stream, and their displacement gradients since entry into the contact.
 
-    As `advected` and `EntryGradients`, from the frames so far. Positions of the points and borders of the contact are
-    kept for the last `KEPT` frames.
+    The methods are those of `advected` and `EntryGradients`, applied to the frames so far. Positions of the
+    points and borders of the contact are kept for the last `KEPT` frames.
 
     Args:
         places: (N, 2) mm, where points were seeded; NaN for none.
@@ -212,7 +212,7 @@ class Entries:
         self._onset[begins], self._reference[begins] = self._frames, reference[begins]
         self._at_entry[begins] = np.nan  # of an earlier touch
         if begins.any():
-            self._judge(begins)
+            self._mark_advected(begins)
         self._frames += 1
         if not begins.any() and not self.entered.any():
             return None
@@ -227,7 +227,7 @@ class Entries:
         since[asked] = now @ inverse_2x2(self._at_entry[asked]) - np.eye(2)
         return since if self.entered.any() else None
 
-    def _judge(self, begins: Array) -> None:
+    def _mark_advected(self, begins: Array) -> None:
         """Decide which points were advected, by their own motion and by their neighbours; update the mask `entered`."""
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
@@ -236,6 +236,6 @@ class Entries:
         if len(rows):
             past = self._position[:, rows][order]
             given = (onset[rows], self._reference[rows], self._gauge, self._border.at(order))
-            self.entered[rows] |= _by_own_way(past, np.arange(len(rows)), *given)
+            self.entered[rows] |= _by_own_motion(past, np.arange(len(rows)), *given)
         later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._places).all(1)
         self.entered = with_neighbours(self.entered, self._places, later, NEAR * self._gauge)

@@ -1,4 +1,4 @@
-"""Image distances between frames, computed from block means: of the image pattern and of the overall light."""
+"""Distances between frames in image pattern and in overall light, computed from block means."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEAST, _LEAST_LIGHT = 3e-3, 0.055
 _TINY = np.finfo(np.float32).tiny
 
 
-def evened(blocks: Array) -> Array:
+def divide_by_mean(blocks: Array) -> Array:
     """Divide block means (n, rows, columns) by the mean of each frame, which removes the flicker of a lamp."""
     result: Array = blocks / np.maximum(blocks.mean((1, 2), keepdims=True), _TINY)
     return result
@@ -25,14 +25,14 @@ def evened(blocks: Array) -> Array:
 def row_distances(blocks: Array, before: Array) -> Array:
     """Return the mean absolute difference (n, rows) of block means between pairs of frames, for each row of blocks.
 
-    The block means are those of `evened`.
+    The block means are those of `divide_by_mean`.
     """
     result: Array = np.abs(blocks - before).mean(2)
     return result
 
 
 def block_distances(blocks: Array, before: Array) -> Array:
-    """Return the distances of each frame from the `LONGEST` + 1 preceding frames, for each row of blocks and the light.
+    """Return the distances of each frame from the `LONGEST` + 1 frames before: one per row of blocks, and one of light.
 
     Args:
         blocks: (n, rows, columns) of `block_means`.
@@ -43,7 +43,7 @@ def block_distances(blocks: Array, before: Array) -> Array:
         least that counts; in the last place that of the logarithms of the means. NaN where there is no such frame.
     """
     every = np.concatenate((before, blocks)) if len(before) else blocks
-    even, light = evened(every), np.log(np.maximum(every.mean((1, 2)), _TINY))
+    even, light = divide_by_mean(every), np.log(np.maximum(every.mean((1, 2)), _TINY))
     result = np.full((len(blocks), LONGEST + 1, every.shape[1] + 1), np.nan, np.float32)
     for gap in range(1, LONGEST + 2):
         first = max(gap - len(before), 0)  # of `blocks`

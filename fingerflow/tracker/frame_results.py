@@ -32,7 +32,7 @@ RESULTS = (
 
 
 class Seeding(NamedTuple):
-    """Seeding of points in a frame, from which tracking starts: positions (N, 2) px, padded with NaN.
+    """Seeded points with which tracking starts: positions (N, 2) px in a frame, padded with NaN.
 
     `before` (M, 2) px are the positions of the previous points in the frame of the seeding; None for the first seeding.
     """
@@ -42,7 +42,7 @@ class Seeding(NamedTuple):
 
 
 class FrameResults:
-    """Computation of the results of a stream frame by frame; each seeding restarts the values since contact onset.
+    """Computation of the results of a stream, frame by frame; after a seeding, values since contact onset start again.
 
     Tracking does not depend on this state: results may be computed in a thread of their own.
 

@@ -17,7 +17,7 @@ Distances = NDArray[np.float32]
 
 
 def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (F,) of jumps that return: frames far from both adjacent frames, which are close to each other.
+    """Return a mask (F,) of frames whose image differs from both adjacent frames, which resemble each other.
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
     shifted or of another brightness, is far from both neighbours, while these are as close to each other and to the
@@ -41,9 +41,9 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
     # Distances that are due to noise vary by as much as their own size.
     if frames > 1:
         distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
-    steps = _steps(distances)
-    quotients = [_quotients(distances, steps, length) for length in range(1, LONGEST + 1)]
-    limits = [FAR * _usual(one) for one in quotients]
+    steps = _neighbour_distances(distances)
+    quotients = [_jump_measure(distances, steps, length) for length in range(1, LONGEST + 1)]
+    limits = [FAR * _usual_level(one) for one in quotients]
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     for quotient, limit in zip(quotients, limits, strict=True):
@@ -73,7 +73,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     limits: list[NDArray[np.float32]],
 ) -> int:
-    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
+    """Return how many frames, from `frame` on, differ from the image of `last` before that image returns; 0 if none.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -84,14 +84,14 @@ def _length_of_jump(
         if not usable[back]:
             continue
         out = [np.minimum(distances[k, k - last - 1], distances[back, back - k - 1]) for k in range(frame, back)]
-        quotient = np.min(out, axis=0) / _near(distances[back, back - last - 1], steps[0][last], steps[1][back])
+        quotient = np.min(out, axis=0) / _denominator(distances[back, back - last - 1], steps[0][last], steps[1][back])
         if (quotient > limits[length - 1]).any():
             return length
     return 0
 
 
-def _steps(distances: Distances) -> tuple[Distances, Distances]:
-    """Return the distance (F, rows) of each frame from the closer of two preceding frames, and of two following ones.
+def _neighbour_distances(distances: Distances) -> tuple[Distances, Distances]:
+    """Return distances (F, rows) of each frame from the nearer of the two frames before, and of the two frames after.
 
     They are 0 where there are none.
     """
@@ -102,26 +102,26 @@ def _steps(distances: Distances) -> tuple[Distances, Distances]:
     return np.nan_to_num(before), after
 
 
-def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the denominator of the quotient that detects jumps: the largest of the given distances and 1."""
+def _denominator(pair: Distances, before: Distances, after: Distances) -> Distances:
+    """Return the denominator of the jump measure: the largest of the given distances and 1."""
     result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
     return result
 
 
-def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return, for each run of `length` frames, the quotient (F - length - 1, rows) that is large if the image jumps.
+def _jump_measure(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
+    """Return a jump measure (F - length - 1, rows) of each run of `length` frames: large for a jump that returns.
 
     It is the distance of the run from the two frames around it, over the distance between these two.
     """
     back = np.arange(length + 1, len(distances))
     last = back - length - 1
     out = [np.minimum(distances[last + j, j - 1], distances[back, length - j]) for j in range(1, length + 1)]
-    result: Distances = np.min(out, axis=0) / _near(distances[back, length], steps[0][last], steps[1][back])
+    result: Distances = np.min(out, axis=0) / _denominator(distances[back, length], steps[0][last], steps[1][back])
     return result
 
 
-def _usual(quotients: Distances) -> Distances:
-    """Return the level (rows,) that quotients usually stay below: the 0.9 quantile over a recording, at least 1."""
+def _usual_level(quotients: Distances) -> Distances:
+    """Return the level (rows,) that jump measures usually stay below: the 0.9 quantile over a recording, at least 1."""
     if not len(quotients):
         return np.ones(quotients.shape[1], np.float32)
     # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
@@ -131,7 +131,7 @@ def _usual(quotients: Distances) -> Distances:
 
 
 def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Mark the first usable frame in a mask (F,) if it is far from the next three frames, which are close together."""
+    """Return a mask (F,) that marks the first usable frame if far from the next three, which are close together."""
     result = np.zeros(len(distances), dtype=bool)
     first, *after = known[:4].tolist() or [0]
     if len(after) == 3 and after[-1] - first <= LONGEST + 1:
@@ -142,7 +142,7 @@ def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.b
 
 
 def _reversed(distances: Distances) -> Distances:
-    """Reorder the distances of `block_distances` as if the frames came in reversed order."""
+    """Convert the distances of `block_distances` to those of the frames in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):

@@ -130,8 +130,8 @@ class FrameOutcome(NamedTuple):
     restart: int
 
 
-class _Known(NamedTuple):
-    """Known motion of the points after a frame, and the number of that frame."""
+class _KnownMotion(NamedTuple):
+    """Motion of the points after a frame, and the number of that frame."""
 
     motion: PointMotion
     number: int
@@ -150,8 +150,8 @@ class _Change(NamedTuple):
     cause: str
 
 
-class _Unlearnt(NamedTuple):
-    """Frame whose measured contact threshold has not been taken into account yet.
+class _PendingThreshold(NamedTuple):
+    """Finished frame whose contact threshold, if it was measured, has not been evaluated yet.
 
     Only a frame that `counts` may set the threshold. It stores the number of the frame, because a `Frame` with results
     is reused for another image.
@@ -162,7 +162,7 @@ class _Unlearnt(NamedTuple):
     counts: bool
 
 
-class _Doubtful(NamedTuple):
+class _DeferredFrame(NamedTuple):
     """Deferred frame with tracked points: the next frame decides whether the deferred frame is usable."""
 
     work: Work
@@ -205,15 +205,15 @@ class StreamTracker:
         self._search = ThresholdSearch(lag + _LEARNT_AFTER)
         self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
-        self._latest: _Known | None = None
-        self._known: dict[int, _Known | None] = {}  # motion after each of the last frames, by their index
+        self._latest: _KnownMotion | None = None
+        self._known: dict[int, _KnownMotion | None] = {}  # motion after each of the last frames, by their index
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
-        self._doubtful: _Doubtful | None = None
+        self._doubtful: _DeferredFrame | None = None
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
-        self._unlearnt: deque[_Unlearnt] = deque()
+        self._unlearnt: deque[_PendingThreshold] = deque()
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
@@ -261,21 +261,21 @@ class StreamTracker:
             assert not self.under_way
             outcomes = self.settle(frame)
             passed = [*self._make_changes(frame), *outcomes]
-        guess = self._guess(frame.number)
+        guess = self._predict_points(frame.number)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         measure = self.measures and self._search.wants(self._begun)
         self._begun += 1
         return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
 
     def compute(self, work: Work) -> None:
-        """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
+        """Track the points of a begun frame, and measure the contact threshold if requested; safe in any thread."""
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
             found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
             # An empty glass gives a threshold too, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch: one that nearly all pixels exceed is wrong.
-            physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
+            physical = 0 < found < 1 and self._contact_share(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
@@ -286,9 +286,9 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = [*self.settle(work.frame)]
         frame, points = work.frame, self._points
         if points is None:  # no usable frame has come yet
-            passed.append(self._skipped(work, frame.status))
+            passed.append(self._unusable_outcome(work, frame.status))
         else:
-            passed += self._judged(work, points)
+            passed += self._decide_status(work, points)
         while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
             passed += self._learn_threshold(*self._unlearnt.popleft())
         self._known[work.index] = self._latest
@@ -296,8 +296,8 @@ class StreamTracker:
         self._finished += 1
         return passed
 
-    def _judged(self, work: Work, points: Points) -> list[FrameOutcome]:
-        """Decide whether a frame is usable and return the outcome; the list is empty if the next frame must decide."""
+    def _decide_status(self, work: Work, points: Points) -> list[FrameOutcome]:
+        """Decide whether a frame is usable; the returned list is empty while the decision waits for the next frame."""
         frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
         if work.found is not None and work.guess is not None and frame.status in MEASURED:
@@ -307,10 +307,10 @@ class StreamTracker:
         assert frame.blocks is not None
         status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
         if status is not None and status != USABLE:
-            return [self._skipped(work, status)]
+            return [self._unusable_outcome(work, status)]
         assert resolved is not None  # points are tracked in every frame that may count
         if status is None:
-            self._doubtful = _Doubtful(work, resolved)
+            self._doubtful = _DeferredFrame(work, resolved)
             return []
         return [self._accepted(work, resolved)]
 
@@ -343,23 +343,26 @@ class StreamTracker:
         usable = following is not None and following.status == USABLE
         status = self._check.settle(following.blocks if usable and following is not None else None)
         if status != USABLE:
-            return [self._skipped(work, status)]
+            return [self._unusable_outcome(work, status)]
         return [self._accepted(work, resolved, late=True)]
 
-    def _guess(self, number: int) -> Array | None:
-        """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
+    def _predict_points(self, number: int) -> Array | None:
+        """Predict point positions in frame `number` from the motion known `lag` frames earlier.
+
+        Later frames may be finished but are not used, so that results do not depend on timing.
+        """
         known = self._known.get(self._begun - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
-    def _know(self, motion: _Known) -> None:
-        """Set the point motion used for the next predictions, as if it had been known for `lag` frames."""
+    def _set_motion(self, motion: _KnownMotion) -> None:
+        """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
 
     def _ahead(self, number: int) -> int:
         return max(1, number - self._latest.number) if self._latest is not None else 1
 
-    def _touching(self, frame: Frame, threshold: float) -> float:
+    def _contact_share(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
         every = max(1, round((view.size / _PIXELS) ** 0.5))
@@ -396,7 +399,10 @@ class StreamTracker:
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
+        """Detect new points, and track them instead of the present points if they are more or a user requests it.
+
+        A request by a user needs at least one new point.
+        """
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
@@ -404,12 +410,12 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Start to track newly seeded points (N, 2) px; values counted from contact onset restart."""
+        """Start to track newly seeded points (N, 2) px, and restart all values counted from contact onset."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
         self.found = int(known_of(points).sum())
-        self._know(_Known(self._points.motion, number))
+        self._set_motion(_KnownMotion(self._points.motion, number))
         self._seeding = Seeding(points, before)
         self._upkeep.restarted(self._begun, number, self.found)
         self._search.begin()
@@ -424,16 +430,16 @@ class StreamTracker:
         image = self._engine.images(change.image)
         self._points = Points(self._engine, image, change.points, motion=kept, knowledge=self._knowledge)
         assert self._latest is not None
-        self._know(self._latest._replace(motion=kept))
+        self._set_motion(self._latest._replace(motion=kept))
         self._upkeep.keyed(change.number, int(known.sum()))
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(known.sum())})
 
     # Outcome of a frame.
 
-    def _skipped(self, work: Work, status: int) -> FrameOutcome:
-        """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
-        self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
+    def _unusable_outcome(self, work: Work, status: int) -> FrameOutcome:
+        """Return the outcome of an unusable frame, from which no contact threshold is taken."""
+        self._unlearnt.append(_PendingThreshold(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> FrameOutcome:
@@ -441,14 +447,14 @@ class StreamTracker:
         frame, index = work.frame, work.index
         # A deferred frame is accepted when its successor ends; by then another frame may have begun.
         found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index + late)
-        self._latest = _Known(self._points.motion, frame.number)
+        self._latest = _KnownMotion(self._points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
             # The first threshold that is measured applies at once, as there is no other.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_Unlearnt(frame.number, work, not late))
+        self._unlearnt.append(_PendingThreshold(frame.number, work, not late))
         if self._change is None and not late:
             cause = PAGE if self._asked else self._upkeep.see(index, frame.number, tracked)
             if cause:
@@ -463,7 +469,7 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Return the contact of a frame, computed at the first call, in whichever thread that happens."""
+        """Return the contact of a frame, computed once by the thread that asks first."""
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)

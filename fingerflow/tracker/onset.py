@@ -1,4 +1,4 @@
-"""Onset of contact: frame and position at which each skin point comes into contact with the glass."""
+"""Determine the onset of contact: frame and position at which each skin point first touches the glass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Touch of the glass by each of N points in each of F frames; NaN for points without a touch.
+    """Touch data of N points in F frames: position and time at which each touch began; NaN without a touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -64,7 +64,7 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames, and return the touches of all points in each of these frames.
+        """Add F frames, and return the touch data of all points in each of these frames.
 
         Args:
             frames: (F,) numbers of the frames.
@@ -97,7 +97,7 @@ class Touches:
         length = np.where(stays, LASTING, length).astype(np.uint8)
         begin = (length == 1) & (np.concatenate((self.length[None, some], length[:-1])) == 0)
         touching[:, some], begins[:, some] = length > 0, begin
-        at_border, passed = _at_border(before, borders, begins)
+        at_border, passed = _border_crossings(before, borders, begins)
         came = np.flatnonzero(begin.any(0) & (self.first[some] < 0))
         first, points = begin[:, came].argmax(0), some[came]
         self.first[points], self.first_place[points] = frames[first], at_border[first, points]
@@ -105,7 +105,7 @@ class Touches:
         here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
         at = at * self.points + some
         for values, given, none in (
-            (_pairs(place), _pairs(at_border), _NO_PAIR),
+            (_as_complex(place), _as_complex(at_border), _NO_PAIR),
             (share, passed, np.float32(np.nan)),
             (spread, variance, np.float32(np.nan)),
             (earlier, np.nan_to_num(variances[:-1]), np.float32(np.nan)),
@@ -117,7 +117,7 @@ class Touches:
         return Touching(place, share, spread, earlier, touching, begins)
 
 
-def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
+def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
     """Interpolate where (mm) and when, between two frames, the contact border passed points whose touch begins.
 
     Return positions (F, N, 2) mm and shares (F, N). The first of the positions (F + 1, N, 2) and of the borders belongs
@@ -143,7 +143,7 @@ def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, A
     return places, share
 
 
-def _pairs(places: Array) -> NDArray[np.complex128]:
+def _as_complex(places: Array) -> NDArray[np.complex128]:
     """View positions (..., 2) as complex numbers x + i y, without copying.
 
     NumPy is several times slower over an axis of two.

@@ -36,7 +36,7 @@ _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Conditions of tracking a recording or a stream: which other frames are known, and limits of computing time.
+    """Tracking conditions of a recording or a stream: whether later frames are known, and limits of computing time.
 
     Attributes:
         lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
@@ -70,7 +70,7 @@ class _Pending(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Tracked points of a frame after recovery of lost points and correction, before motion and templates are updated.
+    """Tracked points of a frame after recovery and correction, before motion and templates are updated.
 
     Attributes:
         corrected: (1, N) points.
@@ -255,14 +255,14 @@ class Points:
         guess = self.expect()
         if len(images) == 1:
             frames = self._gap + 1
-            found = yield from self._looked(images, guess)
+            found = yield from self._track_image(images, guess)
             resolved = yield from self._resolved(images, guess, found, frames, around)
             return (yield from self._accepted(resolved, frames, images))
         speed = self.motion.speed
         followed: Followed = yield Call(self._engine.follow, (self._templates, images, guess - speed, speed, None))
-        return (yield from self._finished_all(images, followed, around))
+        return (yield from self._finish_images(images, followed, around))
 
-    def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
+    def _track_image(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
         """Track all points, or those with indices `rows`, in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
         followed: Followed = yield Call(
@@ -276,7 +276,7 @@ class Points:
         found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
 
-    def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
+    def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
         """Finish several images tracked in one call: recover lost points, correct positions, update the motion."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
@@ -293,8 +293,8 @@ class Points:
         for k in range(len(images)):
             image = images[k : k + 1]
             guess = motion.expect(gap + 1)
-            found = yield from self._looked(image, guess, rows)
-            look, search = self._ways_to_find(image, rows)
+            found = yield from self._track_image(image, guess, rows)
+            look, search = self._track_and_search(image, rows)
             known = yield from recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
             motion = motion.see(known.found.points[0], gap + 1, jolted=known.searched)
             every.append(known.found)
@@ -304,14 +304,14 @@ class Points:
         place[rows], speed[rows] = motion.place, motion.speed
         return Followed(found, place, speed)
 
-    def _ways_to_find(self, image: Images, rows: Array) -> tuple[Look, Search]:
-        """Return the tracking and the search function that `recover` applies to the points `rows` in an image.
+    def _track_and_search(self, image: Images, rows: Array) -> tuple[Look, Search]:
+        """Return two functions for `recover`: one tracks the points `rows` in an image, the other searches for them.
 
         They number these points from 0.
         """
 
         def look(places: Array, some: Array) -> Steps[FoundPoints]:
-            return self._looked(image, places, rows[some])
+            return self._track_image(image, places, rows[some])
 
         def search(some: Array, guess: Array) -> tuple[Array, Array]:
             return self._engine.search(self._key, image, self.start[rows[some]], guess)
@@ -340,13 +340,13 @@ class Points:
             # By now the frames in between are known, and a prediction from them is closer.
             guess = self.motion.expect(frames)
             rows = np.flatnonzero(lost)
-            found = replaced(found, rows, (yield from self._looked(image, guess[rows], rows)))
+            found = replaced(found, rows, (yield from self._track_image(image, guess[rows], rows)))
             lost &= lost_points(found.status[0])
         searched = None
         led = wanted & (np.abs(found.points[0] - guess).max(-1) > REACH + 0.5)  # False where lost
         missing = int((lost | led).sum())
         if self._engine.settings.search_px and lost.any():
-            look, search = self._ways_to_find(image, np.arange(len(self)))
+            look, search = self._track_and_search(image, np.arange(len(self)))
             limits = self._knowledge.searched, self._by_neighbours
             recovered = yield from recover(found, guess, wanted, look, search, *limits)
             found, searched = recovered.found, recovered.searched
@@ -354,7 +354,7 @@ class Points:
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
-        """Predict positions (N, 2) px in a frame from the neighbours of each point found in that frame so far."""
+        """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 
@@ -370,15 +370,15 @@ class Points:
         count, others = len(self), around.status.shape[1]
         if others:
             found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
-        numbers, inverse_warp = self._known_of_templates(others)
-        judged = yield from self._judged(found)
+        numbers, inverse_warp = self._template_data(others)
+        judged = yield from self._mark_outliers(found)
         corrected: Corrected = yield Call(self._engine.correct, (self._every, judged, numbers, inverse_warp))
         if not others:
             return corrected
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
-    def _judged(self, found: FoundPoints) -> Steps[FoundPoints]:
+    def _mark_outliers(self, found: FoundPoints) -> Steps[FoundPoints]:
         """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
@@ -392,8 +392,8 @@ class Points:
                 found = rejected(found, which, status)
         return found
 
-    def _known_of_templates(self, others: int) -> tuple[Array, Array]:
-        """Return the statistics and inverse deformations F_0^-1 of all templates, with defaults for surrounding points.
+    def _template_data(self, others: int) -> tuple[Array, Array]:
+        """Return the statistics and inverse deformations of all templates, with default values for surrounding points.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """
@@ -408,7 +408,7 @@ class Points:
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
     ) -> Steps[FoundPoints]:
-        """Check whether templates need an update after some tracked frames, and return the tracked points.
+        """Check after tracked frames whether templates need an update, and return the tracked points.
 
         Their estimates are the last known positions. With template "previous" new templates are prepared from the last
         image.
@@ -422,10 +422,10 @@ class Points:
             self._key = self._engine.key(image)
             self._templates = yield Call(self._engine.prepare, (self._key, found.points[0], None))
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
-            self._check_templates(corrected.warp[-1], corrected.shift[-1])
+            self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
         return found._replace(estimate=_last_seen(found.points, before))
 
-    def _check_templates(self, warp: Array, shift: Array) -> None:
+    def _plan_template_update(self, warp: Array, shift: Array) -> None:
         """Plan an update of the templates whose window edges have shifted by more than `UPDATE_PX`.
 
         An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so
@@ -447,7 +447,7 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Return all points, with those marked as rejected whose window differs from the window in the key frame.
+        """Reject points whose window differs from the window in the key frame, and return all points.
 
         Covariances count from the key frame. Points that fail are NaN, with the status WINDOW_DIFFERS.
         """
@@ -480,7 +480,7 @@ class Points:
 
 
 def beside(parts: list[FoundPoints]) -> FoundPoints:
-    """Join the tracking results of several groups of points in the same frames."""
+    """Join the tracking results of several groups of points in the same frames to one result."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
 

@@ -1,4 +1,4 @@
-"""Lost-point recovery: search for points that registration did not find near their predicted positions."""
+"""Search for lost points, which registration did not find near their predicted positions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Recovered(NamedTuple):
 
 
 def lost_points(status: Array) -> Array:
-    """Return a mask (...) of lost points, by status: not found, or rejected, though textured and inside the frame."""
+    """Return a mask (...) of the points to search for: textured and inside the frame, but not found or rejected."""
     lost: Array = status >= TrackStatus.NOT_CONVERGED
     return lost
 
@@ -75,7 +75,7 @@ def recover(
             some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
         left[some] = False
         places, returns = search(some, guess[some])
-        found = replaced(found, some, _returning((yield from look(places, some)), returns, guess[some]))
+        found = replaced(found, some, _reject_unreturned((yield from look(places, some)), returns, guess[some]))
         searched[some] = True
         if len(some) == len(rows) or by_neighbours is None:
             break
@@ -90,8 +90,8 @@ def recover(
     return Recovered(found, searched)
 
 
-def _returning(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
-    """Reject points (1, L) whose backward search misses the starting position, with the status FORWARD_BACKWARD.
+def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
+    """Reject points (1, L) whose backward search does not lead back to the start, with the status FORWARD_BACKWARD.
 
     `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
     the start by at most the forward-backward limit plus 1 px, the accuracy of a search.
@@ -112,7 +112,7 @@ def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoin
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return tracking results (n, N) in which those of the points `rows` are replaced by `again`."""
+    """Replace the tracking results (n, N) of the points `rows` by the results `again`."""
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import LONGEST, evened, row_distances
+from fingerflow.tracker.frame_distances import LONGEST, divide_by_mean, row_distances
 from fingerflow.tracker.frame_returns import FAR, REPEATED_SHARE
 
 Array = NDArray[Any]
@@ -81,7 +81,7 @@ class FrameCheck:
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: Blocks | None = None
-        self._doubtful: _DoubtfulStep | None = None
+        self._doubtful: _DeferredStep | None = None
         self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames jumped and returned
         self._number = self._tracked = self._jumped = 0
         self._lacks_lines = False
@@ -98,7 +98,7 @@ class FrameCheck:
         (contact, lines), *others = (_blocks(views[name][0, 0]) for name in sorted(views))  # the contact view is first
         every = [contact, *(one for one, _ in others)]
         means = np.stack(every)
-        even = evened(means).reshape(-1, contact.shape[1])
+        even = divide_by_mean(means).reshape(-1, contact.shape[1])
         blocks = Blocks(means, even, np.log(np.maximum(contact, 1).ravel()))
         if float(contact.mean()) < self._least:
             return blocks, _DARK
@@ -107,7 +107,7 @@ class FrameCheck:
         return blocks, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
     def see(self, number: int, blocks: Blocks, status: int, tracked: int, elsewhere: bool) -> int | None:
-        """Determine the status of a frame by comparison with earlier frames; None if the following frame must decide.
+        """Determine the status of a frame by comparison with earlier frames; None while this waits for the next frame.
 
         `settle` must then be called before the next frame is added.
 
@@ -143,7 +143,7 @@ class FrameCheck:
                 self._jumped += 1
                 return _JUMPS
             if far and not self._jumped:
-                self._doubtful = _DoubtfulStep(number, blocks, tracked, step / gap, usual)
+                self._doubtful = _DeferredStep(number, blocks, tracked, step / gap, usual)
                 return None
             if not self._jumped:
                 self._before.append(step / gap)
@@ -178,8 +178,8 @@ def _blocks(view: Array) -> tuple[Array, Array]:
     return blocks[0], lines[0]
 
 
-class _DoubtfulStep(NamedTuple):
-    """Deferred frame, with the image distance from the last usable frame, and the largest recent distance."""
+class _DeferredStep(NamedTuple):
+    """Deferred frame, with its image distance from the last usable frame, and the largest recent image distance."""
 
     number: int
     blocks: Blocks

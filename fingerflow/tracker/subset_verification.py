@@ -1,4 +1,4 @@
-"""Subset verification: comparison of each point's window with the key frame, to detect points on wrong skin."""
+"""Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Verification:
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)  # 0 for none
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
-        apart = yield from self._apart(images, number, places, warp)
+        apart = yield from self._dissimilarity(images, number, places, warp)
         noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which never fails
@@ -75,7 +75,7 @@ class Verification:
             better = yield from deformed_alike(
                 self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = yield from self._apart(images, *some, better, suspect)
+            again = yield from self._dissimilarity(images, *some, better, suspect)
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
         before = self.failed
         # A point that cannot be checked keeps its result.
@@ -87,7 +87,7 @@ class Verification:
         found: Array = yield Call(self._engine.windows, (images, number, places, warp, STEP))
         return found
 
-    def _apart(
+    def _dissimilarity(
         self, images: Images, number: Array, places: Array, warp: Array, rows: Array | None = None
     ) -> Steps[Array]:
         """Return the dissimilarity, 1 - correlation, of present and key-frame windows, for all points or for `rows`."""

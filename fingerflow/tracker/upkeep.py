@@ -1,4 +1,4 @@
-"""Schedule of a stream: frames in which to measure the contact threshold, reseed, or take a new key frame."""
+"""Schedule contact thresholds, reseedings and new key frames of a stream."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Upkeep:
         self._found = self._keyed = self._few = self._lost = self._tried = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
-        """Record a reseeding before frame `index`, which gave `found` points in frame number `key_frame`."""
+        """Record a reseeding before frame `index`, which found `found` points in frame number `key_frame`."""
         self.keyed(key_frame, found)
         self._found, self._tried, self._lost = found, index, 0
 
@@ -95,7 +95,7 @@ class Upkeep:
         self.key_frame, self._keyed, self._few = key_frame, points, 0
 
     def kept(self, index: int) -> None:
-        """Record that a reseeding before frame `index` was dropped, because it would not have given more points."""
+        """Record that the current points were kept at frame `index`: reseeding would not have given more."""
         self._tried = index
 
     def see(self, index: int, number: int, tracked: int) -> str:

@@ -1,4 +1,4 @@
-"""Correlation of windows in two images, and the deformation by which two windows match best, in NumPy.
+"""Correlate windows of two images, and fit the deformation by which they match best, in NumPy.
 
 An engine samples the windows.
 """
@@ -31,7 +31,7 @@ class Centred(NamedTuple):
 
     @classmethod
     def of(cls, windows: Array) -> Centred:
-        """Subtract from each window (N, m) its mean grey level, and compute the variance."""
+        """Return windows (N, m) of grey levels minus their mean, with the variance of each window."""
         part = windows - windows.mean(1, keepdims=True)
         return cls(part, np.square(part).mean(1))
 
@@ -50,7 +50,7 @@ def correlation_of(first: Centred, second: Centred) -> Array:
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
 ) -> Steps[Array]:
-    """Fit the deformations (N, 2, 2) by which present windows match earlier windows best, starting from `warp`.
+    """Fit the deformations (N, 2, 2), starting from `warp`, for which windows correlate best with earlier windows.
 
     Centres stay fixed. Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As
     the centre is fixed, a window with a wrong centre keeps a residual.

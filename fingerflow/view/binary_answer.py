@@ -14,7 +14,9 @@ _KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # tho
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return an answer as bytes: length of a JSON text (little-endian uint32, 4 zeros), the text, the arrays it lists.
+    """Return an answer as bytes: the length of a JSON text, the text, and the arrays it lists.
+
+    The length is a little-endian uint32, followed by 4 zeros.
 
     The text and each array are padded to 8 bytes.
 

@@ -27,7 +27,7 @@ _NEEDED = {
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error that asks for leave to replace a file whose content this page has neither read nor written."""
+    """Error that asks for permission to overwrite a file whose content this page has neither read nor written."""
 
 
 class Draft:
@@ -51,7 +51,7 @@ class Draft:
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """Return the draft of a scene beside a recording, with two views side by side; keys to fill in are absent."""
+        """Return the draft of a new scene for a recording, with two views side by side; keys to fill in are absent."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
@@ -98,8 +98,9 @@ class Draft:
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Set a key of the draft, or remove it if the value is None; a table that becomes empty is removed if not
-        required.
+        """Set a key of the draft, or remove it if the value is None.
+
+        A table that becomes empty is removed, unless it is required.
 
         Raises:
             FingerflowError: a parent of the key is not a table, or TOML has no such value.

@@ -1,15 +1,10 @@
 """Access control of the server: only requests with the token, from the server's page on this computer, pass."""
 
-import hmac
-import secrets
-from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs
-
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from fingerflow.view.redirect import redirect
+from fingerflow.player.page_token import PageToken, redirect
 
 HEADER = "x-fingerflow"  # other sites cannot send it without a CORS permission, which is never granted
 _HEADERS = {
@@ -34,8 +29,8 @@ class Guard:
     def __init__(self, app: ASGIApp, port: int) -> None:
         self._app = app
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._cookie = f"fingerflow-{port}"  # cookies are shared by all ports
-        self.token = secrets.token_urlsafe(24)
+        self._token = PageToken(port)
+        self.token = self._token.text
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer refused requests; pass all others to the application. Only HTTP is served."""
@@ -56,31 +51,21 @@ class Guard:
             return PlainTextResponse("pages of other sites are refused", 403)
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _opens(headers, scope):
             return PlainTextResponse("pages of other sites are refused", 403)
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if scope["method"] == "GET" and scope["path"] == "/" and self._is_token(given):
-            # A page, and not a redirection: the browser sends a strict cookie only where a page of ours asks.
-            answer = HTMLResponse(redirect("/"))
-            answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict")
-            return answer
-        if not self._is_token(self._token_of(headers)):
+        query = scope["query_string"].decode("latin-1")
+        if scope["method"] == "GET" and scope["path"] == "/" and self._token.is_in_query(query):
+            return HTMLResponse(redirect("/"), headers={"Set-Cookie": self._token.set_cookie})
+        if not self._token.is_in_cookies(headers.get("cookie", "")):
             return PlainTextResponse("open the whole address that `fingerflow view` has printed", 403)
         if scope["method"] not in ("GET", "HEAD") and HEADER not in headers:
             return PlainTextResponse("pages of other sites are refused", 403)
         return None
 
-    def _token_of(self, headers: Headers) -> str:
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return cookies[self._cookie].value if self._cookie in cookies else ""
-
-    def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self.token.encode())
-
 
 def _opens(headers: Headers, scope: Scope) -> bool:
-    """Return whether a request only opens the start page by a link from another site; it still needs the token."""
+    """Return whether a request only opens the start page by a link from another site.
+
+    Such a request is allowed, but needs the token.
+    """
     return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
 
 

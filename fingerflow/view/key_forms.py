@@ -19,7 +19,9 @@ from fingerflow.schema.scene_keys import (
 
 
 def forms() -> dict[str, dict[str, Any]]:
-    """Return a form for each table: its help, and for each key name, label, help, kind of input, limits and default.
+    """Return a form for each table of the scene: its help, and the input fields of its keys.
+
+    A field has name, label, help, kind of input, limits and default.
 
     Views are not among them, as they are drawn.
     """

@@ -29,6 +29,7 @@ from fingerflow.view.bodies import (
     WriteBody,
     body_of,
 )
+from fingerflow.view.connection import Connection
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
 from fingerflow.view.open_path import open_path
@@ -67,7 +68,13 @@ class Served:
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
         config = uvicorn.Config(
-            guard, log_level="warning", access_log=False, ws="none", lifespan="off", proxy_headers=False
+            guard,
+            http=Connection,
+            log_level="warning",
+            access_log=False,
+            ws="none",
+            lifespan="off",
+            proxy_headers=False,
         )
         self._server = uvicorn.Server(config)
 

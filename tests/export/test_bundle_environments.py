@@ -56,13 +56,15 @@ def test_player_page_and_results(lab: LabPC, tmp_path: Path) -> None:
     ) as running:
         assert running.stderr is not None
         said = ""
-        while not (page := re.search(r"live page: (http://[\d.:]+/)", said)):
+        while not (page := re.search(r"live page: ((http://[\d.:]+/)\?token=\S+)", said)):
             line = running.stderr.readline()
             assert line, said
             said += line
-        with urllib.request.urlopen(page[1], timeout=30) as answer:
+        browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        browser.open(page[1], timeout=30).close()  # gives the cookie
+        with browser.open(page[2], timeout=30) as answer:
             assert b"<html" in answer.read()
-        with urllib.request.urlopen(f"{page[1]}live", timeout=30) as answer:
+        with browser.open(f"{page[2]}live", timeout=30) as answer:
             assert len(answer.read()) > 8
         said += running.communicate(timeout=120)[1]
     assert running.returncode == 0, said

@@ -133,18 +133,25 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
         OnnxRuntime(1)
 
 
-def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not hasattr(os, "getuid"):
-        pytest.skip("files have no user here")
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no user here")
+@pytest.mark.parametrize("made", ["of another user", "writable for all", "a link", "a file"])
+def test_a_folder_that_others_may_fill_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: str) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     own = OnnxRuntime(1).folder
     assert own == OnnxRuntime(1).folder
     assert own.stat().st_mode & 0o777 == 0o700
-    user = os.getuid()
-    monkeypatch.setattr("os.getuid", lambda: user + 1000)
-    foreign = tmp_path / f"fingerflow-graphs-{user + 1000}"
-    foreign.mkdir()  # by the present user, who is not that one
-    if user == 0:
-        os.chown(foreign, 1, 1)
-    assert OnnxRuntime(1).folder != foreign
+    if made == "of another user":
+        user = os.getuid()
+        monkeypatch.setattr("os.getuid", lambda: user + 1000)
+        own = tmp_path / f"fingerflow-graphs-{user + 1000}"
+        own.mkdir()  # by the present user, who is not that one
+    elif made == "writable for all":
+        own.chmod(0o777)
+    elif made == "a link":
+        own.rename(tmp_path / "elsewhere")
+        own.symlink_to(tmp_path / "elsewhere")
+    else:
+        own.rmdir()
+        own.touch()
+    assert OnnxRuntime(1).folder != own

@@ -39,8 +39,13 @@ class Page:
     def say(self, text: str) -> str:
         """The answer to a request and whatever follows it, until the server ends the connection."""
         with self.connect() as client:
-            client.sendall(text.format(host=self.host).encode())
+            client.sendall(self.signed(text.format(host=self.host)))
             return _rest(client)
+
+    def signed(self, text: str) -> bytes:
+        """Requests with the cookie of the page."""
+        token = self.server.token
+        return text.replace(" HTTP/1.1\r\n", f" HTTP/1.1\r\nCookie: {token.cookie}={token.text}\r\n").encode()
 
 
 def _rest(client: socket.socket) -> str:
@@ -64,6 +69,32 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
 def test_names_of_this_computer_are_served(page: Page, host: str) -> None:
     """Whatever the port: a tunnel has another one."""
     assert page.say(f"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith("HTTP/1.1 200 ")
+
+
+def test_only_the_printed_address_opens_the_page(page: Page) -> None:
+    """Its token becomes a cookie, which the requests of the page then carry."""
+    token, host = page.server.token, f"Host: {page.host}\r\n\r\n"
+    for line, cookie, status in (
+        ("GET /", "", 403),
+        ("GET /live", "", 403),
+        ("POST /restart", "", 403),
+        ("GET /?token=guess", "", 403),
+        (f"GET /live?token={token.text}", "", 403),
+        (f"GET /?token={token.text}", "", 200),
+        ("GET /live", f"other=1; {token.cookie}={token.text}", 200),
+        ("GET /live", f"{token.cookie}={token.text}x", 403),
+        ("GET /live", f"fingerflow-1={token.text}", 403),
+        ("GET /live", f"{token.cookie}=\xe9", 403),
+    ):
+        with page.connect() as client:
+            sent = f"Cookie: {cookie}\r\n" if cookie else ""
+            client.sendall(f"{line} HTTP/1.1\r\n{sent}Connection: close\r\n{host}".encode("latin-1"))
+            answer = _rest(client)
+        assert answer.startswith(f"HTTP/1.1 {status} "), (line, cookie, answer)
+        given = f"Set-Cookie: {token.cookie}={token.text}; Path=/; HttpOnly; SameSite=Strict\r\n"
+        assert (given in answer) == ("?token=" in line and status == 200)
+    assert page.restarts == 0
+    assert page.server.opening == f"http://{page.host}/?token={token.text}"
 
 
 @pytest.mark.parametrize(
@@ -167,7 +198,7 @@ def test_clients_that_go_away_are_no_news(
     for _ in range(5):
         client = page.connect()
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # a reset instead of an end
-        client.sendall(f"GET /page.js HTTP/1.1\r\nHost: {page.host}\r\n\r\n".encode() * 20)
+        client.sendall(page.signed(f"GET /page.js HTTP/1.1\r\nHost: {page.host}\r\n\r\n") * 20)
         client.close()
     assert page.say("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith("HTTP/1.1 200 ")
     assert caplog.text == ""

@@ -19,12 +19,14 @@ from conftest import Ended, Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_scene
 
 from fingerflow.cli import app
+from fingerflow.player import page_token
 from fingerflow.player.sources.synthetic_source import Synthetic
 from fingerflow.player.stream_player import Player
 
 pytestmark = pytest.mark.long
 
 DARK_EACH = 40  # frames of the source
+TOKEN = "token-of-the-test"
 
 
 class Served:
@@ -49,7 +51,7 @@ class Served:
         for _ in range(200):
             try:
                 connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
-                connection.request(method, path, headers=headers)
+                connection.request(method, path, headers={"Cookie": f"fingerflow-{self.port}={TOKEN}"} | headers)
                 answer = connection.getresponse()
                 return answer.status, answer.read()
             except ConnectionRefusedError:
@@ -80,6 +82,11 @@ class Served:
 
     def restarts(self) -> int:
         return int(self.live()[0]["restarts"])
+
+
+@pytest.fixture(autouse=True)
+def _known_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page_token.secrets, "token_urlsafe", lambda _: TOKEN)
 
 
 @pytest.fixture
@@ -187,7 +194,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-    page.goto(f"http://127.0.0.1:{served.port}/")
+    page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('topography') > 20")
     assert page.is_hidden("#forcesCard")  # of frames without any
@@ -257,7 +264,7 @@ tangential = "Ft"
     normal = arrays["traces"][:, facts["trace_columns"].index("normal_force")]
     assert (np.diff(normal) > 0).all()
     page = browser.new_page()
-    page.goto(f"http://127.0.0.1:{playing.port}/")
+    page.goto(f"http://127.0.0.1:{playing.port}/?token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('forces') > 5")
     assert re.fullmatch(r"\d\.\d\d N", page.evaluate(NUMBER, "Normal force"))
@@ -281,7 +288,7 @@ def test_a_page_shows_why_a_stream_has_failed(stream: Stream, browser: Any) -> N
     failing.start()
     failing.live()
     page = browser.new_page()
-    page.goto(f"http://127.0.0.1:{failing.port}/")
+    page.goto(f"http://127.0.0.1:{failing.port}/?token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     seen.set()
     page.wait_for_selector("#state:text-is('stopped by an error')")

@@ -12,9 +12,12 @@ import pytest
 import xarray as xr
 
 from fingerflow import load_scene, process
+from fingerflow.errors import FingerflowError
+from fingerflow.plot.figure_files import FigureFiles
+from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
-from fingerflow.report.key_numbers import key_numbers, scatter, with_uncertainty
+from fingerflow.report.key_numbers import key_numbers, scatter
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.telling_frames import telling_frames
 from fingerflow.schema.scene import Scene
@@ -84,14 +87,6 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
     area = result["gross_contact_area"].values
     expected = with_uncertainty(float(area[frames[-1].frame]), float(scatter(area)[frames[-1].frame]))
     assert lines["gross contact area (± scatter)"][-1] == expected
-
-
-def test_uncertainty_leaves_its_digits() -> None:
-    assert with_uncertainty(33.4123, 0.5178) == "33.41 ± 0.52"
-    assert with_uncertainty(7935.2, 112.0) == "7940 ± 110"
-    assert with_uncertainty(0.02371, np.nan) == "0.0237"
-    assert with_uncertainty(-0.0001, 0.2) == "0.00 ± 0.20"
-    assert with_uncertainty(np.nan, 0.1) == "–"
 
 
 def test_scatter_is_that_of_the_noise_alone() -> None:
@@ -215,3 +210,21 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
         view.close()
     assert not wrong
     assert {one.split(":")[0] for one in asked} <= {"file", "data"}
+
+
+def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Trial, tmp_path: Path) -> None:
+    scene, result = trial
+    text = told(write_report(result, scene, tmp_path, video=False, figure_files=FigureFiles(("svg",), 120.0)))
+    folder = tmp_path / "figures"
+    names = {path.stem for path in folder.glob("*.svg")}
+    assert {"gross_contact_area-time", "map-divergence-15", "picture-contact-15", "position_std_px"} <= names
+    assert names == {path.stem for path in folder.glob("*.txt")}
+    assert text.count("<figcaption>") == len(names)
+    caption = (folder / "median_divergence-time.txt").read_text(encoding="utf-8")
+    assert "Bands: ± 2 standard deviations (standard deviation of the median divergence" in caption.replace("\n", " ")
+    known = int(np.isfinite(result["median_divergence"]).sum())
+    assert f"n = {known} frames." in caption
+    assert f"n = {known} frames.</figcaption>" in text
+    (folder / "normal_force.svg").write_text("years of work")
+    with pytest.raises(FingerflowError, match=r"normal_force\.svg exists and was not written"):
+        write_report(result, scene, tmp_path, video=False, figure_files=FigureFiles(("svg",)))

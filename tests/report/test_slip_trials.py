@@ -39,8 +39,13 @@ def test_two_trials_and_one_that_is_not_there(
     )
     assert figures == f"figures: {tmp_path / 'figures'}"
     written = sorted((tmp_path / "figures").iterdir())
-    assert [path.name for path in written] == ["abrupt.png", "fading.png", "trials.png"]
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
+    names = [f"{name}.{suffix}" for name in ("abrupt", "fading", "trials") for suffix in ("png", "txt")]
+    assert [path.name for path in written] == names
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written if path.suffix == ".png")
+    caption = (tmp_path / "figures" / "abrupt.txt").read_text(encoding="utf-8")
+    assert caption.startswith("Trial abrupt: vanishes abruptly")  # words, no path
+    assert str(slip_trials) not in caption
+    assert "n = 120 frames" in caption
 
 
 def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> None:
@@ -111,7 +116,7 @@ def test_trials_of_one_name_have_figures_of_their_own(tmp_path: Path) -> None:
     names = ("a/one/scene.toml", "b/one/scene.toml", "trials.toml")
     trials = [simulated(0.4, reached, name) for name, reached in zip(names, (1.0, 0.6, 1.0), strict=True)]
     write_figures(trials, tmp_path / "new" / "figures")
-    assert sorted(path.name for path in (tmp_path / "new" / "figures").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "new" / "figures").glob("*.png")) == [
         *("one-2.png", "one.png", "trials-2.png", "trials.png")
     ]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from fingerflow.plot.captions import caption_of
 from fingerflow.report.press_field import draw_median_curl, press_field
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, simulate_presses
 from fingerflow.report.supplement import FIGURES, Sources, sources
@@ -61,8 +62,9 @@ def test_without_tables_the_simulated_figures_come_and_the_others_say_why(
     assert found["S7"]["left_out"] == ["A, B, C, D, E need a table of trials (--trials)"]
     assert found["S4"]["left_out"] == found["S6"]["left_out"] == found["S10"]["left_out"] == []
     assert found["S13"]["left_out"] == ["C needs a table of trials (--trials)"]
+    drawn = [f"S{number}" for number in (4, 5, 6, 8, 9, 10, 13)]
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
-    assert names == sorted([*(f"S{number}.png" for number in (4, 5, 6, 8, 9, 10, 13)), "M3.mp4"])
+    assert names == sorted([*(f"{name}.{suffix}" for name in drawn for suffix in ("png", "txt")), "M3.mp4"])
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "new").glob("*.png"))
 
 
@@ -110,12 +112,19 @@ def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path)
     assert FIGURES["S13"](found).left_out == ("C needs values of curl in the table of trials",)
 
 
-def test_rows_of_panels_have_letters_in_order(tmp_path: Path) -> None:
+def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(tmp_path: Path) -> None:
     found = Sources(trials=load_trials(table(tmp_path / "t.csv", ("max_force", "duration", "force_rate"))))
-    figure = FIGURES["S5"](found).figure()
-    assert [part._suptitle.get_text() for part in figure.subfigs] == [
-        *("B", "D", "E", "G", "H", "I", "J (skin chain)", "K (skin chain)")
-    ]
+    for width in (180, 85):
+        figure = FIGURES["S5"](found).figure(width)
+        assert [part._suptitle.get_text() for part in figure.subfigs] == list("ABCDEFGH")
+        heading, *panels = caption_of(figure).splitlines()
+        assert heading == "Figure S5: force and motion of the trials."
+        printed = ["B", "D", "E", "G", "H", "I", "J, skin chain", "K, skin chain"]
+        assert [line.partition(").")[0] for line in panels] == [
+            f"{letter} (as S5 {name}" for letter, name in zip("ABCDEFGH", printed, strict=True)
+        ]
+        assert all("n = " in line for line in panels)
+        assert "± one standard deviation over trials" in panels[0]
     assert Sheet.sentences([("A", "x"), ("C", "y"), ("B", "x")]) == ("A, B need x", "C needs y")
 
 
@@ -136,6 +145,8 @@ def test_the_field_of_the_simulated_press_is_its_truth() -> None:
     [
         (("--tribometer", "none.csv"), "none.csv: there is no such file"),
         (("--trials", "none.csv"), "none.csv cannot be read"),
+        (("--format", "jpg"), "--format jpg: 'jpg' is none; give one or more of pdf, svg, png"),
+        (("--width", "85"), "--width 85: give a number and its unit: mm, cm or in, such as 85mm"),
         (("--column", "normal=Fz"), "give the file by --tribometer"),
         (("--tribometer", "none.csv", "--column", "normal"), "--column normal: give two names with = between them"),
     ],

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Trials, repeated_anova, spearman
+from fingerflow.models.observer import Trials, pearson, repeated_anova, spearman
+from fingerflow.plot.captions import caption_of
+from fingerflow.plot.rounding import with_interval, with_uncertainty
 from fingerflow.report import trial_metrics as metrics
 from fingerflow.report.trials_file import load_trials
 
@@ -112,17 +115,30 @@ def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
     metrics.draw_correlation(axes, trials, "divergence", "strain")
     x, y = axes.lines[-1].get_data()
     assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.04, rel=1e-3)  # % a um/mm
-    assert axes.lines[-1].get_label() == "y = 0.04 x + 0.1, R² = 1.00"
+    assert axes.get_title().startswith("slope 0.0400000")
+    assert axes.get_title().endswith("R² = 1.00")
     assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4
+    assert len({line.get_marker() for line in axes.lines[:-1]}) == 4
+
+
+def test_the_line_of_a_correlation_is_rounded_to_its_standard_error(axes: Axes, trials: Trials) -> None:
+    noise = np.random.default_rng(0).normal(0, 1e-3, trials.answer.size)
+    table = replace(trials, metrics={**trials.metrics, "strain": trials.metrics["strain"] + noise})
+    metrics.draw_correlation(axes, table, "divergence", "strain")
+    found = stats.linregress(1e3 * table.metrics["divergence"], 1e2 * table.metrics["strain"])
+    assert f"slope {with_uncertainty(found.slope, found.stderr)}, " in axes.get_title()
+    assert f"n = {trials.answer.size} trials of 4 participants" in caption_of(axes.get_figure())
 
 
 def test_curl_against_divergence(axes: Axes, trials: Trials) -> None:
-    table = replace(trials, metrics={"divergence": trials.metrics["divergence"], "curl": trials.metrics["strain"]})
+    curl = trials.metrics["strain"] + np.random.default_rng(0).normal(0, 1e-3, trials.answer.size)
+    table = replace(trials, metrics={"divergence": trials.metrics["divergence"], "curl": curl})
     metrics.draw_curl_against_divergence(axes, table)
     assert len(axes.lines) == 4
     x, y = np.concatenate([line.get_data() for line in axes.lines], axis=1)
     np.testing.assert_array_equal(np.sort(x), np.sort(1e3 * table.metrics["divergence"]))
-    assert axes.get_title().startswith(f"r = {np.corrcoef(x, y)[0, 1]:.2f} (")
+    found = pearson(x, y, participants=np.repeat(np.unique(trials.participant), 60))
+    assert axes.get_title() == f"r = {with_interval(found.value, *found.interval)}, 240 trials"
     assert axes.get_xlabel() == "median divergence (µm/mm)"
     assert axes.get_ylabel() == "median curl (µm/mm)"
 

@@ -127,9 +127,9 @@ def test_a_calibration_replaces_calibrations_alone(
 def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
+    from fingerflow.plot.figure_files import PNG
     from fingerflow.report import video_writer as video
     from fingerflow.report import write_report
-    from fingerflow.report.picture_files import save_figure
     from fingerflow.report.supplement import Sources, write_supplement
     from fingerflow.results.atomic_write import is_marked
 
@@ -140,7 +140,7 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkey
     trial = trial.assign_coords(frame=np.arange(3))
     page = write_report(trial, None, tmp_path)
     assert write_report(trial, None, tmp_path) == page  # its own
-    save_figure(Figure(), tmp_path / "ours.png")
+    PNG.save(Figure(), tmp_path, "ours")
     video.encode_video([np.zeros((32, 32, 3), np.uint8)] * 3, tmp_path / "ours.mp4")
     assert all(map(is_marked, (page, tmp_path / "ours.png", tmp_path / "ours.mp4")))
     page.write_text("<h1>years of work</h1>")

@@ -17,6 +17,7 @@ from fingerflow.models.observer import (
     participant_groups,
     repeated_anova,
 )
+from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.report.supplement import FIGURES, Sources
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
@@ -148,13 +149,19 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
         {
             "metric": "curl", "condition": np.repeat([0.0, 1.0], 3), "normal_force_N": [1.0, 2.0, 3.0] * 2,
             "mean": np.arange(6) * 1e-3, "low": np.arange(6) * 1e-3 - 1e-4, "high": np.arange(6) * 1e-3 + 1e-4,
+            "participants": 6, "trials": 12,
         }
     )  # fmt: skip
-    written = {name: (file, left) for name, file, left in write_figures(frame, sample_of(frame), curves, tmp_path)}
-    assert all((tmp_path / file).stat().st_size > 10_000 for file, _ in written.values())
+    written = write_figures(frame, sample_of(frame), curves, tmp_path, files=FigureFiles(("pdf",)))
+    assert all((tmp_path / one.file).stat().st_size > 10_000 for one in written)
+    assert [one.file for one in written] == [f"{one.name}.png" for one in written]  # a page shows no PDF
+    assert all((tmp_path / f"{one.name}.pdf").exists() for one in written)
+    (curl,) = [one.caption for one in written if one.name == "S13"]
+    assert "95 % interval by Student's t" in curl
+    assert "n = 6 participants, 24 trials" in curl
     frame["answer"] = None
-    without = {name: file for name, file, _ in write_figures(frame, sample_of(frame), curves, tmp_path / "two")}
-    assert [name for name, file in without.items() if not file] == ["S11", "S12"]
+    without = write_figures(frame, sample_of(frame), curves, tmp_path / "two")
+    assert [one.name for one in without if not one.file] == ["S11", "S12"]
 
 
 def test_the_curve_of_answers_follows_the_design() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import evened
+from fingerflow.tracker.frame_distances import divide_by_mean
 from fingerflow.tracker.stream_frame_quality import USABLE, Blocks, FrameCheck
 
 Array = np.ndarray[Any, Any]
@@ -16,7 +16,7 @@ GLASS = np.full((192, 240), 200.0)
 
 def _blocks(means: Array) -> Blocks:
     """Of a contact view alone."""
-    return Blocks(means[None], evened(means[None])[0], np.log(np.maximum(means, 1)).ravel())
+    return Blocks(means[None], divide_by_mean(means[None])[0], np.log(np.maximum(means, 1)).ravel())
 
 
 @pytest.mark.parametrize("shape", [(192, 240), (512, 640), (50, 47), (23, 300)])
@@ -27,7 +27,7 @@ def test_a_frame_is_known_by_its_block_means(shape: tuple[int, int]) -> None:
     blocks, _ = check.look({"topography_view": topography[None, None], "contact_view": contact[None, None]})
     both = [block_means(view[None])[0][0] for view in (contact, topography)]
     np.testing.assert_array_equal(blocks.means, both)
-    np.testing.assert_array_equal(blocks.even, np.concatenate([evened(one[None])[0] for one in both]))
+    np.testing.assert_array_equal(blocks.even, np.concatenate([divide_by_mean(one[None])[0] for one in both]))
     np.testing.assert_allclose(blocks.light, np.log(both[0]).ravel(), rtol=1e-6)
 
 

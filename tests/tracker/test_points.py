@@ -180,13 +180,13 @@ def test_templates_of_fast_skin_are_checked_sooner(
     be faster, or lost."""
     engine = KnownSkin(START)
     points = _points(engine)
-    check, checked = points._check_templates, []
+    check, checked = points._plan_template_update, []
 
     def note(*given: Any) -> None:
         checked.append(index)
         check(*given)
 
-    monkeypatch.setattr(points, "_check_templates", note)
+    monkeypatch.setattr(points, "_plan_template_update", note)
     a_component = a_frame * FASTEST_PX / (engine.settings.window_px // 2)
     for index in range(1, 24):
         warp = _stretched(0)

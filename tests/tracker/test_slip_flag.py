@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms
+from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms, rim_motion
 
 DRAW = np.random.default_rng(0)
 POINTS = 300 * DRAW.random((400, 2))
@@ -29,6 +29,60 @@ def test_the_residual_is_that_of_the_op() -> None:
     expected = rigid_residual(torch.from_numpy(POINTS)[None], torch.from_numpy(after - POINTS)[None])[0]
     before, after = (one.view(np.complex128)[:, 0] for one in (POINTS, after))
     assert rigid_residual_rms(before, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
+
+
+def test_the_motion_of_the_rim_is_that_of_the_fit() -> None:
+    """Displacement by the formula itself, about the mean of the points, gives its coefficients."""
+    z = POINTS.view(np.complex128)[:, 0]
+    about = z - z.mean()
+    about = about / math.sqrt(2 * np.mean(np.abs(about) ** 2))
+    square = np.abs(about) ** 2
+    moved = 0.3 + (0.2 + 0.1j) * about - 0.05j * about.conj() + 0.4 * square - 0.03 * square * about
+    ahead, spread = rim_motion(z, z + moved)
+    mean = moved.mean()
+    assert ahead == pytest.approx((0.4 * mean.conjugate()).real / abs(mean), rel=1e-6)
+    assert spread == pytest.approx(math.hypot(abs(0.17 + 0.1j), 0.05), rel=1e-6)
+    assert rim_motion(z, z) == (0.0, 0.0)
+    assert np.isfinite(rim_motion(z.real + 0j, z.real + 0.1j)).all()  # points in one line
+
+
+def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> bool:
+    return flag.see(after + noise(), STD, covered).slipping
+
+
+@pytest.mark.parametrize("motion", ["spread", "shear and twist", "shift while it grows", "roll"])
+def test_motion_of_a_press_is_no_slip(motion: str) -> None:
+    """Skin that spreads, shears, turns, or goes with a contact that grows or rolls over it, with noise of 0.03 px: no
+    alarm in 400 frames of each.
+    """
+    flag, about = SlipFlag(), POINTS - 150
+    for step in np.linspace(0, 1, 400):
+        radius = 30 + 120 * step
+        centre = np.array([150.0, 150.0])
+        moved = np.zeros_like(POINTS)
+        if motion == "spread":
+            moved = 0.06 * step * about * (1 + np.square(about).sum(1, keepdims=True) / 150**2)
+        elif motion == "shear and twist":
+            moved = step * about @ np.array([[0.02, 0.05], [-0.03, -0.02]])
+        elif motion == "shift while it grows":
+            moved = np.broadcast_to(step * np.array([4.0, -2.0]), POINTS.shape)
+        else:
+            radius, centre = 80, np.array([80 + 140 * step, 150.0])
+        covered = (np.square(POINTS - centre).sum(1) < radius**2).astype(np.uint8)
+        assert not _sees(flag, POINTS + moved, covered), step
+
+
+def test_slip_after_a_press_is_seen_once_the_rim_has_gone_further_than_skin_has_spread() -> None:
+    """Skin spread by 1 px at the rim; then the rim is pulled to one side."""
+    flag, about = SlipFlag(), (POINTS - 150) / 150
+    flag.see(POINTS, STD, COVERED)
+    square = np.square(about).sum(1, keepdims=True)
+    raised = [_sees(flag, POINTS + about + pull * square * [1.0, 0.0]) for pull in np.linspace(0, 4, 80)]
+    pull = np.linspace(0, 4, 80)[int(np.argmax(raised))]
+    assert 0.5 < pull < 1.6
+    assert all(raised[int(np.argmax(raised)) :])
+    # The rest follows: all slides, and the rim keeps its lead.
+    assert all(_sees(flag, POINTS + about + [far, 0.0] + 4 * square * [1.0, 0.0]) for far in range(1, 20))
 
 
 def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
@@ -68,13 +122,14 @@ def test_too_few_points_say_nothing() -> None:
 
 
 def test_the_flag_outlives_a_choice_of_other_points() -> None:
-    """Other points take over the displacement of the nearest ones: on skin that is displaced by 3 px and stretched by
-    2 %, to 0.25 px, which is what four neighbours some 15 px away leave of it; and the residual stays."""
+    """Other points take over the displacement of the nearest ones: on skin whose rim is 3 px ahead of its middle, to
+    0.3 px, which is what four neighbours some 15 px away leave of it; and the residual stays."""
     old, new = POINTS[:200], 300 * np.random.default_rng(4).random((150, 2))
     std, covered = np.full(200, 0.03), np.ones(200, np.uint8)
 
     def slipped(points: np.ndarray) -> np.ndarray:
-        return np.asarray(points + np.stack((3 + 0.04 * (points[:, 0] - 150), 0 * points[:, 0]), 1))
+        ahead = 1 + 3 * np.square((points - 150) / 150).sum(1)
+        return np.asarray(points + np.stack((ahead, 0 * ahead), 1))
 
     flag = SlipFlag()
     flag.see(old, std, covered)
@@ -89,13 +144,13 @@ def test_the_flag_outlives_a_choice_of_other_points() -> None:
 
 def test_the_flag_is_held_where_no_old_point_is_left_until_the_contact_ends() -> None:
     old, std, covered = POINTS[:200], np.full(200, 0.03), np.ones(200, np.uint8)
-    stretched, lost = old * 1.02, np.full_like(old, np.nan)
+    slipped, lost = old + np.square((old - 150) / 150).sum(1)[:, None] * [2.0, 0.0], np.full_like(old, np.nan)
     flag = SlipFlag()
     flag.see(old, std, covered)
-    assert [flag.see(stretched, std, covered).slipping for _ in range(4)][-1]
+    assert [flag.see(slipped, std, covered).slipping for _ in range(4)][-1]
     assert all(flag.see(lost, std, covered).slipping for _ in range(6))  # unknown is no rest
-    flag.follow_others(lost, stretched)
-    assert all(flag.see(stretched, std, covered).slipping for _ in range(6))
+    flag.follow_others(lost, slipped)
+    assert all(flag.see(slipped, std, covered).slipping for _ in range(6))
     for _ in range(3):
-        ended = flag.see(stretched, std, 0 * covered)
+        ended = flag.see(slipped, std, 0 * covered)
     assert not ended.slipping

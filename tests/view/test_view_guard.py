@@ -3,6 +3,7 @@
 import http.client
 import re
 import socket
+import threading
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from fingerflow.errors import FingerflowError
+from fingerflow.view import connection as connection_module
 from fingerflow.view.server import Served
 
 Answer = tuple[int, dict[str, str], bytes]
@@ -99,6 +101,60 @@ def test_two_names_in_one_request_are_refused(served: Served, cookie: str) -> No
         text = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nHost: example.org\r\nCookie: {cookie}\r\n\r\n"
         line.sendall(text.encode())
         assert line.recv(200).split()[1] in (b"400", b"421")
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        "",
+        "GET / HTT",
+        "GET / HTTP/1.1\r\nHost: x",
+        "POST /api/edit HTTP/1.1\r\nHost: {host}\r\nContent-Length: 9\r\n\r\n{{",
+    ],
+)
+def test_a_request_that_is_never_complete_is_ended(served: Served, monkeypatch: pytest.MonkeyPatch, begun: str) -> None:
+    monkeypatch.setattr(connection_module, "_REQUEST", 0.5)
+    with socket.create_connection(("127.0.0.1", served.port), timeout=SLOW) as line:
+        line.sendall(begun.format(host=f"127.0.0.1:{served.port}").encode())
+        while read(line):
+            pass
+
+
+def test_a_byte_now_and_then_does_not_keep_a_connection(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_module, "_REQUEST", 0.5)
+    with socket.create_connection(("127.0.0.1", served.port), timeout=0.05) as line:
+        while True:
+            try:
+                line.sendall(b"G")
+                if not read(line):
+                    return
+            except TimeoutError:
+                continue
+            except ConnectionError:
+                return
+
+
+def test_connections_beyond_the_limit_are_closed(served: Served, cookie: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_module, "_CONNECTIONS", 3)
+    idle = [socket.create_connection(("127.0.0.1", served.port), timeout=SLOW) for _ in range(10)]
+    assert [read(line) for line in idle[3:]] == [b""] * 7
+    for line in idle:
+        line.close()
+    for _ in range(600):  # and there is room again
+        try:
+            assert ask(served, "/", Cookie=cookie)[0] == 200
+            return
+        except (ConnectionError, http.client.HTTPException):
+            threading.Event().wait(0.05)
+    raise AssertionError("the page did not come back")
+
+
+def read(line: socket.socket) -> bytes:
+    """What came, nothing at the end of the connection."""
+    try:
+        return line.recv(65536)
+    except ConnectionError:
+        return b""
 
 
 def test_a_port_that_is_taken_is_named(served: Served, processed: Path) -> None:

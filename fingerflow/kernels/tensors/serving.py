@@ -38,7 +38,10 @@ def serve(*tensors: Tensor | None) -> bool:
 
 
 def is_recorded() -> bool:
-    """Return whether tracing, a dispatch mode or functorch intercepts torch ops; the torch compiler is ignored."""
+    """Return whether torch ops are being traced or intercepted by a dispatch mode or functorch.
+
+    The torch compiler does not count.
+    """
     return (
         torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
         or torch._C._len_torch_dispatch_stack() > 0

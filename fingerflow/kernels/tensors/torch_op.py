@@ -63,7 +63,7 @@ def torch_op(
 
         @functools.wraps(function)
         def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-            if not torch.compiler.is_compiling() or torch.compiler.is_exporting() or _derived(args):
+            if not torch.compiler.is_compiling() or torch.compiler.is_exporting() or _requires_gradient(args):
                 return function(*args, **kwargs)
             result = op(*args, **kwargs)
             if kind is Tensor:
@@ -76,7 +76,7 @@ def torch_op(
     return known
 
 
-def _derived(arguments: tuple[Any, ...]) -> bool:
+def _requires_gradient(arguments: tuple[Any, ...]) -> bool:
     """Return whether any argument requires a gradient, which an opaque op cannot provide."""
     tensors = (one for one in arguments if isinstance(one, Tensor))
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)

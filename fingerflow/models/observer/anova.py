@@ -13,8 +13,9 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Anova:
-    """Result of an analysis of variance: F, degrees of freedom, p, eta^2 (share of variance between groups), trials per
-    group.
+    """Result of an analysis of variance: F, degrees of freedom, p, effect size eta^2, trials per group.
+
+    eta^2 is the share of the variance that lies between groups.
 
     `participants` is 0 where trials count as independent. `epsilon` scales both degrees of freedom for p.
     """
@@ -91,7 +92,7 @@ def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike
 
 
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
-    """Test whether groups of trials differ in their mean, taking all trials as independent, as Willemet et al. 2021 do.
+    """Test whether groups of trials differ in their mean, with independent trials as in Willemet et al. 2021.
 
     Their F(6, 1593) has the degrees of freedom of trials. Trials of one participant resemble each other: use
     `repeated_anova` for p. NaN values are left out and counted. The result is NaN, with the reason, for fewer than two

@@ -132,7 +132,7 @@ def _resampled(samples: Samples, resamples: int, draw: np.random.Generator) -> I
 
 
 def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
-    """Return how often each of n units is drawn in each of several bootstrap samples of n draws, (rows, n)."""
+    """Return how often each of n units occurs in each of several bootstrap samples (rows, n)."""
     flat = draw.integers(0, units, (rows, units)) + units * np.arange(rows)[:, None]
     return np.bincount(flat.ravel(), minlength=rows * units).reshape(rows, units).astype(np.float64)
 

@@ -55,8 +55,9 @@ def auc(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the area under the ROC: the probability that a correct trial has a larger metric than an incorrect one,
-    ties counting half.
+    """Estimate the area under the ROC: the probability that a correct trial has a larger metric than an incorrect one.
+
+    Ties count half.
 
     1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason, if a kind has no
     trial. There is no interval if the two kinds do not overlap, because every resample then gives the same area.

@@ -107,8 +107,9 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
 
 def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values]:
-    """Fit a mixture of two Gaussians to R samples of P values; return upper share, means, deviation, likelihood ratio,
-    (R,) each.
+    """Fit a mixture of two Gaussians to each of R samples of P values.
+
+    Return upper share, means, deviation and likelihood ratio, (R,) each.
 
     Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """

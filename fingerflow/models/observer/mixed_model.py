@@ -12,8 +12,7 @@ from fingerflow.models.observer.jackknife import jackknifed
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Result of `mixed_model`: change `effect` of the answer's probability per unit of the metric, interval, two-sided
-    p.
+    """Result of `mixed_model`: change of the answer's probability per unit of the metric, interval and two-sided p.
 
     `trials` of `participants` were used; `missing` have no metric, or are alone in their participant and condition.
     """

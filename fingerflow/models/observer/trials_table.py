@@ -82,8 +82,7 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
 
 
 def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
-    """Set metrics to NaN in trials whose finger slid as a whole: `global_displacement` (mm) is above a limit or not
-    known.
+    """Set metrics to NaN in trials whose finger slid as a whole (`global_displacement` above a limit or unknown).
 
     Willemet et al. 2021 ask in this way what other cues tell without that one. The displacement and the force angle
     stay.

@@ -1,4 +1,4 @@
-"""Collapse of a stuck area at constant load, found without a friction law: the time when d^2 stops following T/N."""
+"""Time of collapse of the stuck area, found as a change point: the area stops following the load ratio T/N."""
 
 import math
 from dataclasses import dataclass
@@ -132,7 +132,7 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
 
 def _shape(relative: Values) -> Values:
-    """Return the shape (G, E, F) of d^2 before a collapse, at relative loads (G, 1, F), for E bends of the curve."""
+    """Return the shape (G, E, F) of d^2 before a collapse, at relative loads (G, 1, F), for E curvatures."""
     return np.asarray(np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS))
 
 

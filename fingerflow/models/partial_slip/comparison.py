@@ -43,8 +43,7 @@ class CurveComparison:
 
 
 def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveComparison:
-    """Compare four model curves of partial slip by AICc on the same frames: partial slip (mu_s, mu_k), equal friction,
-    Tada and Coulomb.
+    """Compare four model curves by AICc on the same frames: partial slip, equal friction, Tada and Coulomb.
 
     Each curve is fitted to the frames of slow loading as in `fit_friction`. Errors follow Student's t with 4 degrees of
     freedom, whose scale is one more parameter. Coulomb's curve has a corner: there a frame's distance is the smaller

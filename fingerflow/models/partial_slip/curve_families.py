@@ -17,7 +17,10 @@ Functions = Callable[[Values], Values]
 
 @dataclass(frozen=True)
 class CurveFamily:
-    """Model curve of T/N over d^2 (F,): one term for each of P friction coefficients, and two derivatives."""
+    """Model curve of the load ratio T/N as a function of the stuck area share d^2, with its two derivatives.
+
+    Each function returns one term for each of P friction coefficients.
+    """
 
     name: str
     coefficients: tuple[str, ...]

@@ -180,8 +180,7 @@ def student_scale(squared: Values) -> float:
 
 
 def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
-    """Return d^2 and T/N of frames in which the stuck area shrinks, the noise of both, and a reason if there are too
-    few.
+    """Return d^2 and T/N of frames in which the stuck area shrinks, their noise, and a reason if there are too few.
 
     Raises:
         ValueError: the two differ in length.

@@ -45,7 +45,7 @@ _FREE = 5  # power, rounding, position, growth and base
 
 
 class BorderFit(NamedTuple):
-    """Border of a stick region, fitted by `fit_border`: position, and growth of the displacement beyond that border.
+    """Fitted border of a stick region: position, and growth of the displacement beyond the border.
 
     Attributes:
         power: p; `power_std`, its standard deviation.

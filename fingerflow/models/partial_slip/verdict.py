@@ -259,7 +259,7 @@ def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
-    """Return the frame from which on d^2 is 0, with the fewest exceptions before and after; None if d^2 never is."""
+    """Return the frame from which on d^2 stays 0, with the fewest exceptions; None if d^2 never is 0."""
     known = np.flatnonzero(np.isfinite(area))
     above = area[known] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)

@@ -11,7 +11,7 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.checks import check_mask
-from fingerflow.ops.contact.cells import cell_means, enlarge, widest
+from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
 
 _LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
 _FIRST_ROUNDS, _ROUNDS = 2, 3
@@ -42,7 +42,7 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent contact, the region in which ridges touch about half as densely as in its middle, or more.
+    """Segment the apparent (gross) contact, whose border is where touching ridges are about half as dense as inside.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
@@ -90,7 +90,7 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
-        """Return the fraction of each cell where the density, taken as linear across the cell, exceeds `limit`."""
+        """Return the area fraction of each cell where the density, linear within a cell, exceeds `limit`."""
         return (height - flat * limit).clamp(0.0, 1.0)
 
     def share(part: Tensor) -> Tensor:
@@ -111,7 +111,7 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
     # Border cells count by their fraction inside, including those just outside.
-    near = widest(filled)
+    near = largest_around(filled)
     hole = torch.clamp_min(filled - whole, 0)
     # Maxima and products are several times as fast as comparisons and `where`. They suffice because the density does
     # not exceed the limit in a hole and is non-negative elsewhere.
@@ -127,25 +127,25 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
     """
     # Cache the matrices only outside tracing and on the CPU; elsewhere they are built where they are used.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
-    boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
+    boxes = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
     down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
     if torch.compiler.is_exporting():
         return down @ cells @ along
     # The smoothing matrices are banded: each part of a line is multiplied only with the cells within reach.
     reach, (height, wide) = 3 * math.ceil(width / 2), cells.shape[-2:]
-    of_rows = [down[own, near] @ cells[..., near, :] for own, near in _parts(height, reach)]
+    of_rows = [down[own, near] @ cells[..., near, :] for own, near in _segments(height, reach)]
     rows = torch.cat(of_rows, dim=2)
-    return torch.cat([rows[..., near] @ along[near, own] for own, near in _parts(wide, reach)], dim=3)
+    return torch.cat([rows[..., near] @ along[near, own] for own, near in _segments(wide, reach)], dim=3)
 
 
-def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
-    """Return slices that divide `side` cells into segments, each with a slice widened by `reach` cells at both ends."""
+def _segments(side: int, reach: int) -> list[tuple[slice, slice]]:
+    """Return pairs of slices of `side` cells: a segment, and the same segment widened by `reach` cells at both ends."""
     ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
     return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
-def _boxes(side: int, width: float, device: torch.device) -> Tensor:
-    """Return the matrix that smooths a line of `side` cells by three successive box means, each `width` cells wide.
+def _smoothing_matrix(side: int, width: float, device: torch.device) -> Tensor:
+    """Return the matrix (side, side) that smooths a line of cells by three successive box means of `width` cells.
 
     The cells at the ends of a box have fractional weights.
     """
@@ -154,7 +154,7 @@ def _boxes(side: int, width: float, device: torch.device) -> Tensor:
     return box @ box @ box
 
 
-_kept_boxes = functools.lru_cache(16)(_boxes)
+_kept_boxes = functools.lru_cache(16)(_smoothing_matrix)
 
 
 def _slope(density: Tensor) -> Tensor:
@@ -199,7 +199,7 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the area of a region, and the centre, semi-axes and angle of the ellipse that has the region's moments.
+    """Return area, centre, semi-axes and angle of a region, the latter three of the ellipse with the same moments.
 
     Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """

@@ -1,4 +1,4 @@
-"""Reduction of images to means over square cells, and interpolation between cells.
+"""Reduce images to means over square cells, and interpolate between cells.
 
 Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
 """
@@ -36,8 +36,8 @@ def sum_of(parts: Sequence[Tensor]) -> Tensor:
     return parts[0]
 
 
-def widest(cells: Tensor) -> Tensor:
-    """Return the maximum of the 3 x 3 cells around each cell (a dilation), for values that are not negative."""
+def largest_around(cells: Tensor) -> Tensor:
+    """Return the maximum over the 3 x 3 cells around each cell, for cells (B, C, h, w) with values of at least 0."""
     down = functional.pad(cells, (0, 0, 1, 1))
     down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
     along = functional.pad(down, (1, 1))
@@ -69,7 +69,9 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Test whether the apparent contact covers given positions in the image, to a fraction of a pixel.
+    """Return a mask (B, N) bool of the positions x, y (B, N) px that lie in the apparent contact.
+
+    Interpolation between cells locates the border to a fraction of a pixel.
 
     Args:
         density_margin: (B, 1, h, w) of `ApparentRegion`, on cells of `cell` px.
@@ -88,7 +90,7 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """Return the mask (B, 1, height, width) bool of the pixels that the apparent contact covers, as in `covered`.
+    """Return the mask (B, 1, height, width) bool of the pixels in the apparent contact, interpolated as in `covered`.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -102,7 +104,7 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the two cells whose centres enclose each pixel of a line, as indices, and the weight of the second cell.
+    """Return, for each pixel along one axis, the two cells to interpolate between and the weight of the second cell.
 
     The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`.
     Each result is (pixels,).

@@ -1,4 +1,4 @@
-"""Connected components of masks: hole filling and the largest component, from horizontal runs of pixels.
+"""Fill holes and find the largest connected component of masks, from horizontal runs of pixels.
 
 A mask of half a million pixels has only about ten thousand horizontal runs. They are the nodes of a graph; an edge
 joins two runs of neighbouring rows that touch. The components of the graph are found by hooking and pointer jumping
@@ -110,7 +110,7 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """Join the nodes of a graph to components: return, for each node, the smallest node of the same component.
+    """Return, for each node of a graph, the smallest node of the same connected component.
 
     Edge k joins nodes `upper[k]` and `lower[k]`.
     """

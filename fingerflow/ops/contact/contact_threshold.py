@@ -83,7 +83,7 @@ def _threshold(
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
-        """Return the share of light lost at a quantised level, corrected for the illumination gain."""
+        """Return the relative intensity loss at a quantised level, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
     classes = otsu_classes(_counts(smooth, counted).to(kind))
@@ -121,10 +121,9 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 
 
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
-    """Return the level half-way between the median of the histogram levels above `level` and the median of the levels
-    up to it.
+    """Return the level (B,) half-way between two medians of a histogram: of levels above `level`, and of the others.
 
-    The histograms are (B, 256). `level` is (B,). The mean is NaN where no count lies above. Without counts up to the
+    The histograms are (B, 256). `level` is (B,). The result is NaN where no count lies above. Without counts up to the
     level, the lower class replaces their median.
     """
     place = torch.arange(_LEVELS, dtype=counts.dtype, device=counts.device)

@@ -57,7 +57,7 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return the sums (B, 2, N) of the pixels and of the squared pixels over each block of a frame.
+    """Return, for each of N blocks of a frame, the sum of the pixel values and the sum of their squares, (B, 2, N).
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """

@@ -1,4 +1,4 @@
-"""Change of light between two images of a surface, excluding printed markers."""
+"""Relative brightness change between two images of a surface, excluding printed markers."""
 
 import torch
 from torch import Tensor
@@ -10,8 +10,7 @@ _LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the
 
 
 def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale: float) -> Tensor:
-    """Compute the relative change of light between images and an image at rest, averaged over square cells: (B, 1, h,
-    w).
+    """Return the relative brightness change (B, 1, h, w) per grid cell from an image of the surface at rest (unloaded).
 
     The change is the logarithm of the quotient of both images. The logarithm is averaged with Gaussian weights over the
     pixels that show the surface in both images (normalised convolution, Knutsson & Westin 1993). The median over the

@@ -2,13 +2,13 @@
 
 from torch import Tensor
 
-from fingerflow.ops.looking import looks
+from fingerflow.ops.branching import may_branch
 
 Range = tuple[int, int]
 
 
 def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
-    """Return the ranges [first, last) of rows and columns that bound masks (B, 1, H, W) plus a margin in px.
+    """Return the ranges [first, last) of rows and columns that hold the True pixels of all masks plus a margin in px.
 
     Return the ranges of the whole image if the masks are empty, or if the rectangle has fewer than `least` pixels or a
     side of at most two margins. So too where shapes must not depend on data: while torch compiles, traces or exports,
@@ -16,7 +16,7 @@ def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
     """
     height, width = mask.shape[-2:]
     whole = (0, height), (0, width)
-    if not looks(mask):
+    if not may_branch(mask):
         return whole
     found = []
     for axis, length in ((3, height), (2, width)):

@@ -31,7 +31,7 @@ class Classes(NamedTuple):
 def histogram(
     frames: Tensor, mask: Tensor | None = None, bins: int = 256, value_range: tuple[float, float] | None = None
 ) -> Tensor:
-    """Count pixel values exactly, one histogram per frame.
+    """Return the histogram (B, bins) of the pixel values of each frame, with exact counts.
 
     Bins are open below and closed above, (low + k w, low + (k + 1) w], so that `frames > edge` splits a frame exactly
     as the histogram does. The default for uint8, (-1, 255), gives each grey level its own bin.
@@ -147,7 +147,7 @@ def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Ten
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Return the index of the histogram bin of every pixel, (B, H W) int32; `bins` marks a pixel that is not finite."""
+    """Return the histogram bin (B, H W) int32 of every pixel; pixels that are not finite get the index `bins`."""
     values = frames.flatten(1)
     if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
         if frames.dtype == torch.uint8 and low == -1 and bins == 256:

@@ -13,7 +13,7 @@ from fingerflow.ops.tensors import bytes_of
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
-    """Return the real contact mask: lit pixels darker than black + limit * light, after a majority filter over windows.
+    """Return the real contact mask: lit pixels darker than black + limit * light, after a majority filter.
 
     The median of an odd number of pixels lies below a limit exactly where most of them do. The result therefore equals
     the comparison of the median-filtered intensity loss with the threshold 1 - limit, but no quotient is formed.

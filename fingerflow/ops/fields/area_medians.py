@@ -9,13 +9,13 @@ from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.fields.scattered import check_scattered
 from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
-from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
-from fingerflow.ops.tensors import finite, products, sum_rows, symmetric
+from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
 
 _FAR = 1e3  # radii: coordinate of excluded points, far from all positions
 _TINY = 1e-30
@@ -35,7 +35,7 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points kept apart from the local fits, because their divergence, curl and strain are already given."""
+    """Points whose divergence, curl and strain are given, and which are therefore excluded from the local fits."""
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -91,7 +91,7 @@ def area_medians(
     kind = displacement.dtype
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
     if apart is not None:
-        apart = _checked(apart, displacement, covariance is not None)
+        apart = _check_apart(apart, displacement, covariance is not None)
     among, fields, std = (None, None, None) if apart is None else apart
     if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
         return AreaMedians(
@@ -108,14 +108,14 @@ def area_medians(
             )
         )
     result: AreaMedians = in_pieces(
-        partial(_of_known, gauge_length / 2, measure),
+        partial(_medians_of_known, gauge_length / 2, measure),
         _FRAMES,
         *(*frame, reference, displacement, covariance, among, fields, std),
     )
     return result
 
 
-def _of_known(
+def _medians_of_known(
     radius: float,
     measure: str,
     center: Tensor,
@@ -125,14 +125,15 @@ def _of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians without the points that are unknown in every frame, or with all points while torch traces a
-    graph.
+    """Exclude points that are unknown in every frame, then compute the medians over the ellipses as `_medians`.
+
+    All points are used while torch traces a graph.
 
     The known points are few while a contact grows.
     """
     points: list[Tensor | None] = [reference, displacement, *others]
     count = displacement.shape[1]
-    if looks(*points):
+    if may_branch(*points):
         known = finite((reference + displacement).sum(2)).any(0)
         known[:1] = True
         some = known.nonzero().squeeze(1)
@@ -179,7 +180,7 @@ def _medians(
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
     places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
-    along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
+    along, across = (axes / radius * constant_like(_LATTICE, displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
     fit = fit_planes(places, displacement, positions, usable, radius)
     xx, xy, yx, yy = fit.gradient.split(1, dim=1)
@@ -197,7 +198,7 @@ def _medians(
     fields = _fields(gradient, measure)
     nearest = None
     if apart is not None and theirs is not None:
-        nearest = _of_nearest(apart, theirs, fit.weights)
+        nearest = _nearest_fields(apart, theirs, fit.weights)
         fields = torch.where(nearest.apart, nearest.fields, fields)
         known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # ONNX runtimes: no `where` of bool
     count = known.to(fields.dtype).sum(2, keepdim=True)
@@ -207,7 +208,7 @@ def _medians(
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
         return AreaMedians(median, None, known_share)
-    share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
+    share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
     joint = torch.zeros_like(median)
     if nearest is not None and nearest.std is not None:
         away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
@@ -216,7 +217,7 @@ def _medians(
     if nearest is not None and nearest.std is not None:
         joint = (share * torch.where(nearest.apart & known, nearest.std, 0.0)).sum(2)
         share = torch.where(nearest.apart, 0.0, share)
-    by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
+    by_points = _mean_derivatives(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
@@ -224,9 +225,9 @@ def _medians(
 
 
 def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """Return the median (B, 5) of each of five fields over the known values, `count` (B, 1, 1) of each field.
+    """Return the medians (B, 5) of five fields over the positions where the fields are known.
 
-    It is arbitrary where fewer than half of the values are known.
+    `count` (B, 1, 1) is the number of known values. The median is arbitrary where they are fewer than half.
     """
     if not torch.compiler.is_exporting():
         lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
@@ -238,8 +239,8 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
     return result
 
 
-class _OfNearest(NamedTuple):
-    """Fields at Q positions, taken from the nearest point where that point belongs to `Apart`."""
+class _NearestFields(NamedTuple):
+    """Fields at Q positions, copied from the nearest point where that point is excluded from the fits (`Apart`)."""
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -247,8 +248,8 @@ class _OfNearest(NamedTuple):
     std: Tensor | None
 
 
-def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
-    """Return the fields of the nearest point, for each position whose nearest point belongs to `Apart`.
+def _nearest_fields(apart: Apart, theirs: Tensor, weights: Tensor) -> _NearestFields:
+    """Return, for each position whose nearest point is excluded from the fits (`Apart`), the fields of that point.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -262,7 +263,7 @@ def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
     count, of_them = found[:, :1], found[:, 1:2]
     fields = found[:, 2:] / of_them.clamp_min(1)
     within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
-    return _OfNearest(
+    return _NearestFields(
         of_them > count / 2, within, fields[:, :_FIELDS], None if apart.std is None else fields[:, _FIELDS:]
     )
 
@@ -274,7 +275,7 @@ def _fields(gradient: Tensor, measure: str) -> Tensor:
     return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
 
 
-def _beside(
+def _closeness_weights(
     fields: Tensor,
     median: Tensor,
     fit: PlaneFit,
@@ -284,8 +285,7 @@ def _beside(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) of each position in the error of a median: large where the field lies beside the
-    median.
+    """Return the weight (B, 5, Q) that each position has in the error of a median: large for values near the median.
 
     The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
     median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
@@ -302,8 +302,8 @@ def _beside(
     return result
 
 
-def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, N) of the means of five fields with respect to the displacements of N points.
+def _mean_derivatives(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
+    """Return the derivatives (B, 5, 2, N) of weighted means of five fields with respect to point displacements.
 
     The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
     position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so
@@ -359,8 +359,8 @@ def _check(
         raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")
 
 
-def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Return a checked `Apart` in the dtype of `displacement`, with standard deviations only if `with_std`."""
+def _check_apart(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
+    """Check an `Apart`, and return it in the dtype of `displacement`, with standard deviations only if `with_std`."""
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

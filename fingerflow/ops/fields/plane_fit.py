@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
-from fingerflow.ops.looking import looks
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.tensors import components_first, finite, products, sum_rows, symmetric
 
 _TINY = 1e-20
@@ -45,7 +45,7 @@ class PlaneFit(NamedTuple):
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return the positions of points relative to the mean of the points, in radii, and a mask of the known points.
+    """Return point positions relative to their mean, in units of the radius, and a mask of the known points.
 
     Points are (B, N, 2), the results (B, 2, N) and (B, 1, N) bool. Unknown positions are 0.
     """
@@ -79,7 +79,7 @@ def fit_planes(
     radius: float | Tensor,
     support: Support | None = None,
 ) -> PlaneFit:
-    """Fit planes around query positions by weighted least squares, in the portable form of `local_gradients`.
+    """Fit planes to values around query positions by weighted least squares, as `local_gradients`, by matrix products.
 
     The weights are (1 - (r/R)^2)^2 at a distance r within the radius R. The moments of all fits are the product of the
     weights with the monomials of x and u.
@@ -96,7 +96,7 @@ def fit_planes(
     weights, within = support or support_of(places, queries)
     channels = values.shape[1]
     # If the same points are usable in all frames, everything but the values has a batch of 1.
-    if len(places) == 1 and looks(usable) and bool((usable == usable[:1]).all()):
+    if len(places) == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
         usable = usable[:1]
     weight = usable.to(places.dtype)
     # A constant does not change the slope: subtracting the mean saves its precision.
@@ -153,7 +153,7 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
 
 
 def squares(pair: Tensor) -> Tensor:
-    """Return the second-order products aa, ab and bb (B, 3, N) of pairs of components (a, b), which are (B, 2, N)."""
+    """Return the second-order products aa, ab and bb (B, 3, N) of pairs (a, b) (B, 2, N)."""
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 

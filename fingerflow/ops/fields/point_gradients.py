@@ -4,17 +4,16 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
-from fingerflow.ops.looking import looks
 from fingerflow.ops.tensors import finite, sum_rows
 
 
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
 ) -> tuple[Tensor, Tensor | None]:
-    """Return displacement gradients (B, N, 2, 2) fitted around the points as by `local_gradients`, and their
-    covariance.
+    """Return displacement gradients (B, N, 2, 2), fitted locally around each point, and their covariance.
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
@@ -32,7 +31,7 @@ def point_gradients(
         own = torch.where(known, 0.0, torch.nan).to(displacement.dtype)[..., None, None]
         return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
     radius = gauge_length / 2
-    if not looks(reference, displacement, covariance):
+    if not may_branch(reference, displacement, covariance):
         return _gradients(radius, reference, displacement, covariance)
     # Points that are known in no frame are left out.
     some = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
@@ -64,7 +63,7 @@ def _gradients(
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
-    """Return the weights (`Support`) of the points in the fits of `neighbour_planes`, which depend only on positions.
+    """Return the weights (`Support`) of the points in the fits of `neighbour_planes`; they depend only on positions.
 
     `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """

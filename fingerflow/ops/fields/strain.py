@@ -27,7 +27,7 @@ def curl(gradient: Tensor) -> Tensor:
 
 
 def shear(gradient: Tensor) -> Tensor:
-    """Return the two shear components (..., 2) of a displacement gradient, without unit.
+    """Return the two shear components (..., 2), du/dx - dv/dy and du/dy + dv/dx, without unit.
 
     They are s = du/dx - dv/dy along the axes and t = du/dy + dv/dx along the diagonals. With divergence d and curl c
     the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021, figure S6).
@@ -72,7 +72,7 @@ class PrincipalStrains(NamedTuple):
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Return the two principal strains of a strain (exx, eyy, exy) (..., 3), and the direction of the major one.
+    """Return the two principal strains of a strain tensor (exx, eyy, exy), (..., 3), and the major direction.
 
     Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
     autograd gives both the gradient of their mean.
@@ -120,7 +120,7 @@ def stress_parts(
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """Return the strain energy density, mJ/mm^3, from the squares and products of strains, or from their means."""
+    """Return the strain energy density, mJ/mm^3, from exx^2, eyy^2, exy^2 and exx eyy (`between`), or their means."""
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 

@@ -49,7 +49,7 @@ def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagran
 def strain_covariance_parts(
     xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the contribution of one corner's displacement error to the covariance of a triangle's strain.
+    """Return the variances and the covariance of a triangle's strain that the displacement error at one corner causes.
 
     These are the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of a corner
     of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched by some

@@ -1,4 +1,4 @@
-"""Strain of triangles between tracked points, and strain energy of the triangles in contact."""
+"""Compute the strain of triangles between tracked points, and the strain energy of triangles in contact."""
 
 from typing import NamedTuple
 
@@ -61,7 +61,7 @@ def triangle_strain(
     usable = triangle_quality(reference, triangles)[0] >= MINIMUM_QUALITY
     slopes = torch.where(usable[:, None, None], triangle_slopes(reference, triangles)[0], 0.0)
     # sum_ij x_i x_j C_ij with C_ij = r_ij (C_i + C_j) / 2 is a sum over corners, sum_i x_i (x_i + sum_j r_ij x_j) C_i.
-    joint = slopes if shared is None else slopes + _beside(slopes, shared.corners.to(slopes.dtype))
+    joint = slopes if shared is None else slopes + _correlated_slopes(slopes, shared.corners.to(slopes.dtype))
     xx, yy = (slopes * joint).unbind(-1)
     xy = (slopes * joint.flip(-1)).mean(-1)
     products = torch.stack((xx, xy, yy)).mT  # (3, 3, M)
@@ -118,7 +118,7 @@ def triangle_strain(
 
 
 def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
-    """Return the standard deviation (B,) of the strain energy.
+    """Return the standard deviation (B,) of the strain energy due to the displacement errors of the points.
 
     The variance is the sum of two parts:
     - To first order: that of the errors times the forces x, y (N, B) at the points.
@@ -155,7 +155,7 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
     return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
 
 
-def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return, for each corner, the sum (M, 3, 2) of the slopes of both corners beside it times error correlations."""
+def _correlated_slopes(slopes: Tensor, shared: Tensor) -> Tensor:
+    """Return, for each triangle corner, the sum (M, 3, 2) of the other corners' slopes times error correlations."""
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

@@ -91,7 +91,7 @@ def triangle_quality(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def _edges(per_point: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the differences (B, M, C) of point values along the two edges from the first vertex of each triangle.
+    """Return the differences (B, M, C) of point values along two edges of each triangle, both from its first vertex.
 
     The values are (B, N, C). The differences are NaN where a vertex is missing.
     """

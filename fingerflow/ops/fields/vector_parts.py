@@ -76,18 +76,18 @@ def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
 
 def _slope(values: Tensor, inside: Tensor, dim: int) -> Tensor:
     """Return the derivative per pixel along a dimension: central differences, one-sided at the border of the mask."""
-    after, before = (_moved(values, dim, step) for step in (1, -1))
-    has_after, has_before = (_moved(inside, dim, step) for step in (1, -1))
+    after, before = (_shifted(values, dim, step) for step in (1, -1))
+    has_after, has_before = (_shifted(inside, dim, step) for step in (1, -1))
     forward, backward = torch.where(has_after, after - values, 0), torch.where(has_before, values - before, 0)
     number = has_after.to(values.dtype) + has_before.to(values.dtype)
     return torch.where(inside, (forward + backward) / number.clamp(min=1), 0)
 
 
 def _has_neighbour(inside: Tensor, dim: int) -> Tensor:
-    return _moved(inside, dim, 1) | _moved(inside, dim, -1)
+    return _shifted(inside, dim, 1) | _shifted(inside, dim, -1)
 
 
-def _moved(values: Tensor, dim: int, step: int) -> Tensor:
+def _shifted(values: Tensor, dim: int, step: int) -> Tensor:
     """Shift values so that each pixel holds the value `step` pixels further along a dimension; 0 beyond the frame."""
     size = values.shape[dim]
     edge = torch.zeros_like(values.narrow(dim, 0, 1))
@@ -97,8 +97,7 @@ def _moved(values: Tensor, dim: int, step: int) -> Tensor:
 
 
 def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the convolution kernels in x and y: the gradient of the Green function G, integrated over a pixel at each
-    offset.
+    """Return two convolution kernels, for x and y: the gradient of the Green function G of the Laplacian, per pixel.
 
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.

@@ -78,9 +78,10 @@ def weighted_moments(
 
 
 class _Columns:
-    """Point data (B, N, F) as matrix columns, so that a product with weights (G, Q, N) sums the data over N points.
+    """Point data arranged as matrix columns, so that one matrix product with weights sums the data over N points.
 
-    If one geometry serves all frames (G = 1), the frames are concatenated as columns of one matrix product.
+    Data are (B, N, F), weights (G, Q, N). If one geometry serves all frames (G = 1), the frames are concatenated as
+    columns of one matrix product.
     """
 
     def __init__(self, data: Tensor, shared: bool) -> None:

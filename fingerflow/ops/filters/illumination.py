@@ -16,7 +16,7 @@ LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
 
 class NormalizedFrames(NamedTuple):
-    """Frames divided by the light of the empty glass, and a mask of the pixels where the quotient is known.
+    """Frames divided by the light of the empty glass, and a mask of the pixels where this quotient is known.
 
     `frames` (B, 1, H, W) is the light relative to that of the empty glass; `valid` (B, 1, H, W) bool is True where this
     quotient is known.

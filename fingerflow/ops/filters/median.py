@@ -89,7 +89,7 @@ def _alike(frames: Tensor, size: int) -> Tensor:
 
 @torch_op(shapes=_alike)
 def large_median(frames: Tensor, size: int) -> Tensor:
-    """Compute the median filter with a large window as an opaque torch op.
+    """Compute the median filter with a large window, as a torch op that the torch compiler does not trace.
 
     The compiler would need minutes to trace thousands of minima and maxima.
     """
@@ -97,7 +97,7 @@ def large_median(frames: Tensor, size: int) -> Tensor:
 
 
 def _of_rows(frames: Tensor, size: int) -> Tensor:
-    """Compute the median filter on whole rows of pixels, the form for exported graphs.
+    """Compute the median filter by operations on whole rows of pixels; exported graphs contain this form.
 
     The tiles of `_run` have one column here. A plane then holds whole rows, which an unfused runtime copies in one
     piece.
@@ -126,7 +126,7 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Run a median program: minima and maxima of flat planes, each of which holds one pixel of every tile of the frame.
+    """Run a median program (minima and maxima) on planes, each of which holds one pixel of every tile.
 
     Each step is one pass over contiguous memory.
     """
@@ -181,7 +181,7 @@ def run_network(
             pair = (left, right, offset)
             first, second = known[left], known[right]
             if not views:
-                second = _ahead(second, offset, 0)
+                second = _drop_first(second, offset, 0)
             else:
                 length = min(lengths[left], lengths[right] - offset)
                 if length < lengths[right]:
@@ -192,9 +192,9 @@ def run_network(
         lengths[result] = length
         for plane in released:
             del known[plane]
-    return [_ahead(known[plane], rows * columns + shift, cells - lengths[plane]) for plane, rows, shift in outputs]
+    return [_drop_first(known[plane], rows * columns + shift, cells - lengths[plane]) for plane, rows, shift in outputs]
 
 
-def _ahead(plane: Tensor, offset: int, lack: int) -> Tensor:
+def _drop_first(plane: Tensor, offset: int, lack: int) -> Tensor:
     """Drop the first `offset` elements of a flat plane, and append `offset` + `lack` zeros at the end."""
     return functional.pad(plane, (-offset, offset + lack)) if offset or lack else plane

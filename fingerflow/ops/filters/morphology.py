@@ -55,7 +55,7 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
 
 def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
-    """Return the half width of each row of a disc or diamond, from -radius to radius; also check the arguments."""
+    """Return half the width of each row, from -radius to radius, of a disc or diamond; also check the arguments."""
     check_mask(mask)
     if radius < 0:
         raise ValueError(f"radius is {radius} px: give 0 or more")

@@ -37,7 +37,7 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
 
 
 def median_of_counts(counts: Tensor) -> Tensor:
-    """Compute the median (B,) of rounded values from a histogram of counts (B, bins), whose first bin has the value 0.
+    """Return the median (B,) of each histogram of counts (B, bins), whose bin k counts the values that round to k.
 
     Values are assumed to be spread evenly over the unit around each integer, so the median is not quantised. NaN for an
     empty histogram; float64, or the dtype of floating counts.

@@ -42,7 +42,7 @@ def median_at(frames: Tensor, size: int, step: int) -> Tensor:
 
 
 def _window_places(side: int, size: int, step: int, device: torch.device) -> Tensor:
-    """Return the pixel indices (size, windows) of the sampled windows along one axis, clamped to the frame."""
+    """Return the pixel indices (size, windows) along one axis of windows `step` px apart, clamped to the frame."""
     middle = torch.arange(0, side, step, device=device)
     return (torch.arange(size, device=device)[:, None] - size // 2 + middle).clamp(0, side - 1)
 

@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fingerflow.ops.filters.spline import spline_weights
+from fingerflow.ops.pieces import points_at_once
 
 _POINTS_AT_A_TIME = 128
 
@@ -68,7 +69,7 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """Convolve the patch of each point along `dim` with the weights (P, taps) of that point, to ``size`` samples."""
+    """Filter the patch of each point along `dim` with the weights (P, taps) of that point; return ``size`` samples."""
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):
@@ -84,8 +85,8 @@ def _sample_warped(
     The positions of the samples of a warped window have no common fraction.
     """
     flat = coefficients.reshape(-1)
-    # Few points at a time, so that their weights stay in the cache.
-    pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
+    at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few, so that their weights stay in the cache
+    pieces = zip(*(whole.split(at_once) for whole in (image_index, points, warp)), strict=True)
     sampled = [
         _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
         for indices, places, warps in pieces
@@ -151,7 +152,7 @@ def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
 
 
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """Gather the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
+    """Return the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
     if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
     # A shifted view needs no new index; `take` and indexing need four times as long.

@@ -8,7 +8,7 @@ It minimises, over the pixels x of a mask,
 aperture problem; alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both images
 pass the same low-pass filter. Departures from the paper:
 
-- The smoothness term penalises the departure of w from its own trend M w (`course` of `flow_cells`). M w is the plane
+- The smoothness term penalises the departure of w from its own trend M w (`trend` of `flow_cells`). M w is the plane
   that fits w best, plus planes fitted to the remainder around every position over some two periods of ridges. With
   |grad w|^2, a finger that widens evenly is flattened at the border of the mask, and a wave of 300 px loses 3 % of its
   height. Noise could then be averaged over a few pixels only. On ridges with 2 grey levels of noise the error falls
@@ -32,7 +32,7 @@ from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.flow import FlowFields, Left
+from fingerflow.kernels.flow import FlowFields, FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
@@ -159,7 +159,7 @@ def whole_flow(
     robust: bool,
     of_gradient: bool,
 ) -> Flow:
-    """Compute `dense_flow` as one opaque torch op, because the number of halved images depends on the data."""
+    """Compute `dense_flow` as one op that torch does not trace, as the number of halved images depends on data."""
     constant: Constancy = "gradient" if of_gradient else "brightness"
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise, constancy=constant)
     return find_flow(template, current, initial, warps, "charbonnier" if robust else "quadratic")
@@ -186,14 +186,14 @@ def prepare_flow(
     least = rounding_variance(first)
     variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
-    template = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    template = _template_of(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
     return template._replace(covariance=_covariance(template, template.levels[0]))
 
 
-def _prepared(
+def _template_of(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
-    """Compute the flow template of an image, and of successively halved images while texture exceeds the noise.
+    """Return the flow template of an image; as long as texture exceeds the noise, it includes those of halved images.
 
     The image is floating point. The covariance is left None.
     """
@@ -203,7 +203,7 @@ def _prepared(
     value, gradient = fields.value, fields.gradient
     # A pixel that is unknown in one channel is unknown in all.
     everywhere = (fields.inside, fields.known, fields.right, fields.down)
-    inside, known, right, down = (_least(one, count) for one in everywhere)
+    inside, known, right, down = (_channel_minimum(one, count) for one in everywhere)
     products = _sum(fields.tensor, count)
     weights = window(max(box / CELL, 1.0))
     tensor = known * integrated(products, weights)
@@ -215,7 +215,7 @@ def _prepared(
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
         # A mean of four has a fourth of the noise variance, and is unknown where one of the four is.
         all_known = (halved_image(inside) == 1).to(inside.dtype)
-        coarser = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
+        coarser = _template_of(halved_image(first), all_known, variance / 4, box, roughness, constancy)
     levels = pyramid(tensor, alpha * right, alpha * down, known)
     return FlowTemplate(
         value, gradient, inside, levels, products, variance, roughness, constancy, None, weights, coarser
@@ -223,7 +223,7 @@ def _prepared(
 
 
 def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
-    """Return the covariance xx, xy, yy (B, 3, h, w) of the flow on the finest cells, for an illumination gain of 1."""
+    """Return the flow covariance xx, xy, yy (B, 3, h, w) on the finest cells, for an illumination gain of 1."""
     alpha = _smoothing(template.variance, template.roughness)
     if finest is not template.levels[0]:
         alpha = alpha * mean_edge_weight(finest, template.levels[0])
@@ -231,8 +231,8 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
     return flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
 
 
-def _least(fields: Tensor, count: int) -> Tensor:
-    """Return the least value (B, ...) over the `count` channels of each image, stacked along the batch axis."""
+def _channel_minimum(fields: Tensor, count: int) -> Tensor:
+    """Return the minimum (B, ...) of fields (count B, ...) over their `count` channels."""
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -241,12 +241,12 @@ def _sum(fields: Tensor, count: int) -> Tensor:
 
 
 def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
-    """Return the eigenvalue (B,) of the structure tensor J that white noise alone causes."""
+    """Return the eigenvalue (B,) that white image noise alone gives the structure tensor."""
     return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
-    """Return the weight alpha (B, 1, 1, 1) of the smoothness term, 2 variance / roughness^2."""
+    """Return the weight (B, 1, 1, 1) of the smoothness term in dense flow, alpha = 2 variance / roughness^2."""
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
@@ -263,7 +263,7 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
     clean = torch.where(usable, coefficients, 0.0)
     still = clean.new_zeros(len(clean), 2, *clean.shape[-2:])
     value = _sampled(clean, still)  # computed as in `find_flow`, so that zero motion leaves no residual
-    gradient = _slopes(clean) * _arrives(still, inside, _MARGIN)
+    gradient = _slopes(clean) * _stays_inside(still, inside, _MARGIN)
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
     known = (halved(inside) > 0).to(inside.dtype)
@@ -287,7 +287,7 @@ def find_flow(
         raise ValueError(f"initial must be {shape}, not {tuple(initial.shape)}")
     given = current.to(template.value.dtype)
     if initial is None:
-        flow = _from_nothing(template, given, warps, penalty)
+        flow = _initial_flow(template, given, warps, penalty)
     else:
         flow = to_cells(initial.to(given.dtype), template.inside)
     flow, left, finest = _refined(template, given, flow, warps, penalty)
@@ -297,7 +297,7 @@ def find_flow(
     return _at_pixels(template, flow, left, covariance)
 
 
-def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covariance: Tensor) -> Flow:
+def _at_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor], covariance: Tensor) -> Flow:
     """Interpolate the flow, the covariance and the residual from cells to the pixels of the first image.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
@@ -313,19 +313,19 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], covaria
         return Flow(*kernels.flow_at_pixels(flow, others, known, template.inside))
     displacement = to_pixels(flow, known, *size)
     xx, xy, yy, residual = spread(others, known, *size).split(1, dim=1)
-    lost = torch.where(_arrives(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
+    lost = torch.where(_stays_inside(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
     rows = torch.cat((xx, xy, xy, yy), dim=1) + lost
     return Flow(displacement + lost, rows.unflatten(1, (2, 2)), residual + lost)
 
 
-def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
-    """Estimate the flow without an initial value, from halved images; the flow is 0 if there are no halved images."""
+def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
+    """Estimate an initial flow from successively halved images; it is 0 if the template has no halved image."""
     batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
         return template.value.new_zeros(batch, 2, height, width)
     half = halved_image(current)
-    found, _, _ = _refined(coarser, half, _from_nothing(coarser, half, warps, penalty), warps, penalty)
+    found, _, _ = _refined(coarser, half, _initial_flow(coarser, half, warps, penalty), warps, penalty)
     # Pixels of the halved images are the cells of the full ones.
     wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
     return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
@@ -333,14 +333,14 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
-) -> tuple[Tensor, Left[Tensor], Level]:
+) -> tuple[Tensor, FlowResidual[Tensor], Level]:
     """Refine a flow on cells by `warps` rounds of warping the current image and solving for the flow.
 
     Also return the residual before the last warp, and the finest multigrid level that was solved.
     """
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
-        left = _left(template, coefficients, flow)
+        left = _residual(template, coefficients, flow)
         known, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
         if penalty == "charbonnier":
             of_data = data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
@@ -353,9 +353,8 @@ def _refined(
     return flow, left, levels[0]
 
 
-def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
-    """Compute the residual of a flow on cells: what is left of the image difference after displacement and
-    illumination.
+def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual[Tensor]:
+    """Compute the residual of a flow on cells: the image difference that displacement and illumination do not explain.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
@@ -364,33 +363,36 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Te
     known, inside = template.levels[0].inside, template.inside
     if count > 1:
         known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
-    data, squares, seen, gain = _left_of_each(coefficients, template.value, template.gradient, inside, flow, known)
+    data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, known)
     # Slopes are those of the first image. In the current one they scale with the gain, and J with its square.
-    return Left(
+    return FlowResidual(
         _sum(data / gain, count),
         _sum(squares, count),
-        _least(seen, count),
+        _channel_minimum(seen, count),
         gain if count == 1 else _sum(gain, count) / count,
     )
 
 
-def _left_of_each(
+def _channel_residuals(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
-) -> Left[Tensor]:
-    """Compute the residual of a flow, what is left of the image difference, for each channel separately.
+) -> FlowResidual[Tensor]:
+    """Compute the residual of a flow (see `_residual`) for each channel separately.
 
-    As for `_left`, but the products with the slopes are not divided by the gain.
+    As for `_residual`, but the products with the slopes are not divided by the gain.
     """
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
     warped = _sampled(coefficients, displacement)
     usable = finite(warped)
-    seen, warped = _arrives(displacement, inside, _MARGIN) * usable.to(inside.dtype), torch.where(usable, warped, 0.0)
-    gain, offset = _light(value, warped, seen)
+    seen, warped = (
+        _stays_inside(displacement, inside, _MARGIN) * usable.to(inside.dtype),
+        torch.where(usable, warped, 0.0),
+    )
+    gain, offset = _fit_gain_and_offset(value, warped, seen)
     left = seen * (warped - offset - gain * value)
     means = halved(torch.cat((gradient * left, left * left, seen), dim=1))
-    return Left(means[:, :2], means[:, 2:3], means[:, 3:], gain)
+    return FlowResidual(means[:, :2], means[:, 2:3], means[:, 3:], gain)
 
 
 def _slopes(coefficients: Tensor) -> Tensor:
@@ -422,8 +424,8 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     return values
 
 
-def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of a mask that the flow moves to at least `margin` px inside the frame, else 0."""
+def _stays_inside(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
+    """Return 1 for pixels of a mask whose flow ends at least `margin` px inside the frame, else 0."""
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
@@ -431,7 +433,7 @@ def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
     return inside * within.to(inside.dtype)
 
 
-def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+def _fit_gain_and_offset(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
     """Fit the illumination gain and offset (B, 1, 1, 1) of the warped image relative to the first, over visible pixels.
 
     The fit is by least squares.

@@ -1,4 +1,4 @@
-"""Conversion of dense-flow fields between pixels and cells of 2 x 2 px, and computations on cells.
+"""Convert dense-flow fields between pixels and cells of 2 x 2 px, and compute on cells.
 
 The windows that integrate the data term, and the smoothing, pass almost nothing below a period of 4 px: less than 1e-7
 of the height of a wave, for a window of two boxes of 9 px and a smoothing length of 7 px. One unknown per cell and
@@ -6,7 +6,7 @@ component is thus enough, and everything except the images costs a fourth. Error
 pixel: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with windows of 3 px.
 
 At pixels the flow is its best-fitting plane, plus the remainder interpolated bilinearly between the centres of known
-cells. The trend ("course") of the flow, the departure from which the smoothness term penalises, lies on cells too.
+cells. The trend of the flow, the departure from which the smoothness term penalises, lies on cells too.
 """
 
 import math
@@ -24,7 +24,10 @@ _TINY = 1e-12
 
 
 class Planes(NamedTuple):
-    """Planes height + x slope_x + y slope_y fitted to the two components of a flow, (B, 2, ., .) each."""
+    """Planes fitted to the two components of a flow: the value at (x, y) is height + x slope_x + y slope_y.
+
+    Each attribute is (B, 2, ., .).
+    """
 
     height: Tensor
     slope_x: Tensor
@@ -49,10 +52,10 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Spread values from cells to cells of half the size (or pixels), by bilinear interpolation of known cells.
+    """Interpolate values of known cells bilinearly to cells of half the size, or to pixels.
 
-    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest have the weights 9/16, 3/16,
-    3/16 and 1/16. The result is 0 where none of them is known.
+    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16,
+    3/16, 3/16 and 1/16. The result is 0 where none of them is known.
     """
     both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
@@ -60,7 +63,7 @@ def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
 
 def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
-    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px: return (B, 2, h, w).
+    """Average a field (B, 2, H, W) over the pixels of a mask in each cell of 2 x 2 px.
 
     The mask `inside` (B, 1, H, W) is 1 or 0. Non-finite values count as 0; a cell without a pixel inside is 0.
     """
@@ -114,7 +117,7 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the moments (B, 12, h, w) from which planes are fitted to a field (B, 2, h, w).
+    """Return the moments (B, 12, h, w) to which `planes` fits planes: weights and values, times powers of x and y.
 
     Both the weights (B, 1, h, w) and the weighted field enter.
     """
@@ -157,7 +160,7 @@ def window_variance(weights: list[float]) -> float:
 
 
 def integrated(fields: Tensor, weights: list[float]) -> Tensor:
-    """Integrate fields (B, C, h, w) over a window: return means with the weights applied along x and along y.
+    """Return weighted means of fields (B, C, h, w) over a window, with the weights applied along x and along y.
 
     Values beyond the border count as 0.
     """
@@ -176,7 +179,7 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
 COURSE_WINDOW = window(9)  # cells of 4 px
 
 
-def course(flow: Tensor, known: Tensor) -> Tensor:
+def trend(flow: Tensor, known: Tensor) -> Tensor:
     """Return the trend (B, 2, h, w) of a flow on cells: the smooth part that the smoothness term does not penalise.
 
     `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted

@@ -53,10 +53,9 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
 
 def _passed(z: Tensor) -> Tensor:
-    """Return 1 - z e^z E1(z) with the exponential integral E1: the relative noise variance that has passed the
-    smoothing.
+    """Return the relative noise variance that remains after smoothing: 1 - z e^z E1(z), with exponential integral E1.
 
-    The argument z is positive. It is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
+    The argument z is positive. The value is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
     """
     small = z.clamp_max(1.0)
     series = 0.99999193 + small * (-0.24991055 + small * (0.05519968 + small * (-0.00976004 + small * 0.00107857)))

@@ -1,11 +1,11 @@
-"""Multigrid solver of the linear system (J + alpha L) d = r of dense flow, with two unknowns per cell.
+"""Multigrid solver of the linear system of dense flow, with the two flow components of each cell as unknowns.
 
-The unknowns of a cell are coupled by a 2 x 2 tensor J. L is the graph Laplacian of the cells of a mask, which makes the
-border condition natural: no flux across it. Coarser levels represent 2 x 2 cells each: J and r are means over them. An
-edge between two coarse cells has a fourth of the mean weight of the two fine edges across their common side. This
-equals the action of the fine operator on a field that is constant on coarse cells and differs between them as a plane
-does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image Processing 14(5), 2005, restrict the tensors too). The smoother is
-damped 2 x 2 block Jacobi, whose result does not depend on the order of cells.
+The system is (J + alpha L) d = r. The unknowns of a cell are coupled by a 2 x 2 tensor J. L is the graph Laplacian of
+the cells of a mask, which makes the border condition natural: no flux across it. Coarser levels represent 2 x 2 cells
+each: J and r are means over them. An edge between two coarse cells has a fourth of the mean weight of the two fine
+edges across their common side. This equals the action of the fine operator on a field that is constant on coarse cells
+and differs between them as a plane does (Bruhn, Weickert, Schnoerr, IEEE Trans. Image Processing 14(5), 2005, restrict
+the tensors too). The smoother is damped 2 x 2 block Jacobi, whose result does not depend on the order of cells.
 
 Every step is a stencil of fixed cost. One V-cycle leaves 1 to 10 % of the residual on skin.
 
@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.flow.flow_cells import COURSE_WINDOW, course, halved, spread
+from fingerflow.ops.flow.flow_cells import COURSE_WINDOW, halved, spread, trend
 
 DAMPING = 0.8  # of a Jacobi step
 SWEEPS = 2  # before and after the coarser levels
@@ -34,7 +34,7 @@ SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
 
 
 class Level(NamedTuple):
-    """One level of the multigrid: the operator J + alpha L on cells (B, ., h, w)."""
+    """One multigrid level: the operator J + alpha L on cells, with structure tensor J and graph Laplacian L."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
     right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
@@ -84,7 +84,7 @@ def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
-    """Return edge weights between blocks of 2 x 2 cells: a fourth of the mean of the two edges across a common side."""
+    """Return edge weights between blocks of 2 x 2 cells: a fourth of the mean of the two edges that connect them."""
     right, down = (
         functional.pad(right[..., 1::2], (0, 0, 0, right.shape[-2] % 2)),
         functional.pad(down[..., 1::2, :], (0, down.shape[-1] % 2)),
@@ -99,7 +99,7 @@ def degrees(right: Tensor, down: Tensor) -> Tensor:
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """Improve a flow (B, 2, h, w) by multigrid cycles, each of which descends to the coarsest level and returns.
+    """Improve a flow (B, 2, h, w) by multigrid V-cycles.
 
     Args:
         levels: of the multigrid; the finest is that of the flow.
@@ -111,18 +111,21 @@ def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cy
     if pull.dtype == torch.float32 and kernels.serve(pull, flow, known, *levels[0]):
         planes = [plane for level in levels for plane in level]
         return kernels.flow_descend(planes, pull, flow, known, COURSE_WINDOW, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING)
-    own = course(flow, known)
+    own = trend(flow, known)
     flow = torch.where(known > 0, flow, own)
     step = v_cycle(levels, pull - laplacian(levels[0], flow - own))
     for _ in range(cycles - 1):
         moved = flow + step
-        over = laplacian(levels[0], moved - course(moved, known))
+        over = laplacian(levels[0], moved - trend(moved, known))
         step = step + v_cycle(levels, pull - times(levels[0].tensor, step) - over)
     return flow + step
 
 
 def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    """Solve (J + alpha L) d = r approximately by one V-cycle from d = 0; return d (B, 2, H, W)."""
+    """Return an approximate solution d (B, 2, H, W) of a level's linear system, from one V-cycle that starts at d = 0.
+
+    The system is (J + alpha L) d = `right_side`.
+    """
     level, coarser = levels[0], levels[1:]
     solution = DAMPING * times(level.inverse, right_side)
     if not coarser:
@@ -134,12 +137,12 @@ def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
 
 
 def applied(level: Level, field: Tensor) -> Tensor:
-    """Apply the operator J + alpha L of a level to a field (B, 2, h, w)."""
+    """Multiply a field (B, 2, h, w) by the operator J + alpha L of a level: structure tensor J, graph Laplacian L."""
     return times(level.tensor, field) + laplacian(level, field)
 
 
 def laplacian(level: Level, field: Tensor) -> Tensor:
-    """Apply the weighted graph Laplacian alpha L of a level to a field (B, C, h, w)."""
+    """Multiply a field (B, C, h, w) by the weighted graph Laplacian alpha L (smoothness term) of a level."""
     across = level.right * (field[..., 1:] - field[..., :-1])
     along = level.down * (field[..., 1:, :] - field[..., :-1, :])
     pad = functional.pad

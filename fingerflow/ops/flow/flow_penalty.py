@@ -20,8 +20,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.flow import Left
-from fingerflow.ops.flow.flow_cells import CELL, course
+from fingerflow.kernels.flow import FlowResidual
+from fingerflow.ops.flow.flow_cells import CELL, trend
 from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 
 Penalty = Literal["quadratic", "charbonnier"]
@@ -35,8 +35,8 @@ _EDGE_SCALE = 0.1
 _TINY = 1e-12
 
 
-def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
-    """Return the weights (B, 1, h, w) of cells in the data term, from the residual of the latest flow.
+def data_weights(left: FlowResidual[Tensor], by_noise: Tensor) -> Tensor:
+    """Return the weights (B, 1, h, w) of cells in the data term: low where the latest flow leaves a large residual.
 
     `by_noise` (B,) is the mean square that noise leaves.
     """
@@ -46,7 +46,7 @@ def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
 
 
 def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, roughness: float) -> list[Level]:
-    """Build the multigrid levels of dense flow with the smoothness weights of a given flow (B, 2, h, w) on cells.
+    """Build the multigrid levels of dense flow with smoothness weights from a given flow (B, 2, h, w) on cells.
 
     Args:
         finest: level of the quadratic system.
@@ -55,7 +55,7 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, 
         known: (B, 1, h, w), 1 or 0: cells that contribute to the trend; at the others the departure is 0.
         roughness: as of `dense_flow`.
     """
-    departure = torch.where(known > 0, flow - course(flow, known), 0.0)
+    departure = torch.where(known > 0, flow - trend(flow, known), 0.0)
     right, down = edge_weights(departure, roughness)
     return pyramid(finest.inside * tensor, finest.right * right, finest.down * down, finest.inside)
 

@@ -22,7 +22,7 @@ _SETTLED = 1e-3  # largest change of a message at convergence
 
 
 class Ties(NamedTuple):
-    """Edges (ties) of the graph of neighbouring markers, each stored in both directions.
+    """Edges (ties) between neighbouring markers; each edge is listed in both directions.
 
     Attributes:
         first, second: (T,) int64, indices of the tied markers.

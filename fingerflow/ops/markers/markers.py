@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.checks import check_frames
-from fingerflow.ops.contact.cells import widest
+from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.corners import choose_apart
 
@@ -39,7 +39,7 @@ class MarkerLook(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Radius of a marker, px: that of the disc to which a filter of the scale `scale` responds most strongly."""
+        """Return the radius of a marker, px: that of the disc to which the blob filter responds most strongly."""
         return math.sqrt(2) * self.scale
 
 
@@ -80,7 +80,10 @@ def measure_markers(frame: Tensor) -> MarkerLook | None:
     best: tuple[float, int, Tensor, Tensor] | None = None
     for polarity in (1, -1):
         signed = polarity * stack
-        around = torch.maximum(widest(signed[:, 1:-1]), torch.maximum(widest(signed[:, :-2]), widest(signed[:, 2:])))
+        around = torch.maximum(
+            largest_around(signed[:, 1:-1]),
+            torch.maximum(largest_around(signed[:, :-2]), largest_around(signed[:, 2:])),
+        )
         _, k, y, x = ((signed[:, 1:-1] == around) & (signed[:, 1:-1] > 0)).nonzero().unbind(1)
         strength = signed[0, k + 1, y, x]
         score = float(strength.pow(3).sum())
@@ -90,7 +93,7 @@ def measure_markers(frame: Tensor) -> MarkerLook | None:
             best = score, polarity, strength, k + 1 + step.clamp(-0.5, 0.5)
     assert best is not None
     _, polarity, strength, octave = best
-    strong = strength > _between(strength)
+    strong = strength > _otsu_threshold(strength)
     if int(strong.sum()) < _FEWEST:
         return None
     scale = _SMALLEST * 2 ** (float(octave[strong].median()) / _STEPS)
@@ -117,7 +120,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
     image = frames.to(torch.float32)
     padded = look.polarity * _response(image, look.scale, margin=1)[:, 0]
     response = padded[:, None, 1:-1, 1:-1].contiguous()
-    candidate = (response == widest(response)) & (response > LEAST_CONTRAST * look.response)
+    candidate = (response == largest_around(response)) & (response > LEAST_CONTRAST * look.response)
     place = choose_apart(response, candidate, count, _APART * look.scale)
     place = place[:, : int((place >= 0).sum(1).max())]
     width = frames.shape[-1]
@@ -139,7 +142,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Locate markers at a coarser scale: return the positions (B, N, 2) px of highest response near pixels x, y (B, N).
+    """Return the positions (B, N, 2) px of highest blob response at a coarser scale, near pixels x, y (B, N).
 
     Positions within one scale are considered.
     """
@@ -172,7 +175,7 @@ def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
 
 
 def blur(image: Tensor, scale: float, margin: int = 0) -> Tensor:
-    """Blur an image by a Gaussian of standard deviation `scale` px; beyond the border the nearest pixel counts.
+    """Blur an image by a Gaussian of standard deviation `scale` px; beyond the border the nearest pixel is repeated.
 
     The result is larger than the image by `margin` pixels on each side. Two matrix products are used: torch's
     convolution of one channel takes ten times as long at these sizes.
@@ -216,10 +219,10 @@ def _noise(frames: Tensor) -> Tensor:
     return (estimate_noise(frames).square() + rounding_variance(frames)).sqrt()
 
 
-def _between(strength: Tensor) -> float:
-    """Return Otsu's threshold of a list of values, which maximises the variance between two classes.
+def _otsu_threshold(strength: Tensor) -> float:
+    """Return Otsu's threshold of a list of values, which maximises the variance between the values below and above it.
 
-    It is -inf below two values.
+    It is -inf for fewer than two values.
     """
     ordered = strength.double().sort().values
     count = len(ordered)

@@ -55,7 +55,7 @@ def stretch_contrast(frames: Tensor) -> Tensor:
 
 
 def unsharp_mask(frames: Tensor, sigma: float) -> Tensor:
-    """Sharpen frames by adding the difference from a Gaussian blur, which doubles details smaller than `sigma`.
+    """Sharpen frames by adding their difference from a Gaussian blur, which doubles the contrast of fine details.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating.

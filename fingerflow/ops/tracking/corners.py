@@ -10,7 +10,7 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.checks import check_frames
-from fingerflow.ops.contact.cells import widest
+from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
 
@@ -109,7 +109,7 @@ def detect_corners(
     spread = _noise_deviation(frame) if noise is None else torch.full_like(response[:, 0, 0, 0], noise)
     known = torch.where(allowed & response.isfinite(), response, 0.0)
     floor = torch.maximum(quality * known.amax((1, 2, 3)), _above_noise(window) * spread.square())
-    peak = known == widest(known)
+    peak = known == largest_around(known)
     candidate = peak & (known > floor[:, None, None, None]) & (known > _ROUNDING * larger)
     return _strongest_apart(known, candidate, count, min_distance)
 
@@ -176,7 +176,7 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return a corner response above all noise: one that no window of pure white noise of variance 1 reaches.
+    """Return an upper limit of the corner response in images of white noise of variance 1 without any corners.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
@@ -249,7 +249,7 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Mark the corner candidates to keep: each is kept unless it lies too near a stronger candidate that is kept.
+    """Return a mask of the corner candidates to keep: those not too close to a stronger candidate that is kept.
 
     Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
     is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first

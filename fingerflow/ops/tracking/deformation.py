@@ -34,7 +34,7 @@ def correct_points(
     gauge_px: float,
     support: Support | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Correct tracked points of K frames for the measured deformation of the skin.
+    """Correct the positions of tracked points in K frames for the deformation of the skin, estimated from the points.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.
@@ -69,7 +69,7 @@ def correct_points(
     leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
     return CorrectedPoints(
         points - (leaning + bulge).mT,
-        _less_bending(covariance, of, unknown, window),
+        _without_deformation_residual(covariance, of, unknown, window),
         warp.mT.unflatten(2, (2, 2)),
         window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt(),
         start + expected,
@@ -93,8 +93,8 @@ def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, suppor
     return _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)
 
 
-def _less_bending(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Return position covariances (K, N, 2, 2) less the residual that deformation of the skin causes in the window.
+def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
+    """Reduce position covariances (K, N, 2, 2) by the share of the residual that skin deformation in the window causes.
 
     The deformation E is (K, 4, N). `of` (K, 32, N) are the template statistics.
     """

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import outlier_limits as limits
-from fingerflow.ops.looking import looks
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.tensors import finite
 
 _LEAST = 1e-30
@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Two outlier flags of each tracked point, (B, N) bool.
+    """Outlier flags (B, N) bool of tracked points: deviation from the neighbours, and excessive uncertainty.
 
     Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
 
@@ -96,26 +96,30 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     one = known.to(displacement.dtype)
     sure = torch.where(known, position_std[:, None], 1.0).clamp_min(limits.LEAST_DEVIATION)
     u, v = torch.where(known, displacement.mT, 0.0).split(1, dim=1)
-    there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
+    there_u, there_v, variance, there = _gather_neighbours(index, u, v, sure.square(), one)
     weight = there * within
-    number = _total(weight)
+    number = _sum_over_neighbours(weight)
     u, v = there_u - u, there_v - v
     precision = 1 / (variance + sure.square())
 
     distance, level = _agreement(u, v, precision, weight, number)
     slope = _plane(x, y, u, v, weight / (1 + distance / (limits.SPREAD * level)))
-    _, fitted = _agreement(*_above(slope, x, y, u, v), precision, weight, number)
+    _, fitted = _agreement(*_plane_residuals(slope, x, y, u, v), precision, weight, number)
     trust = one / fitted.square()
     donated = (*(part * trust for part in slope), trust)
     *slopes, total = (
-        _total(part * within) + own for part, own in zip(_of_neighbours(index, *donated), donated, strict=True)
+        _sum_over_neighbours(part * within) + own
+        for part, own in zip(_gather_neighbours(index, *donated), donated, strict=True)
     )
     total = total.clamp_min(_LEAST)
-    _, borrowed = _agreement(*_above([part / total for part in slopes], x, y, u, v), precision, weight, number)
+    _, borrowed = _agreement(
+        *_plane_residuals([part / total for part in slopes], x, y, u, v), precision, weight, number
+    )
     disagreement = torch.minimum(torch.minimum(level, fitted), borrowed).sqrt()
     # Harmonic means of the disagreement and deviation of the neighbours: outliers among them hardly contribute.
     usual, usual_deviation = (
-        number / _total(part * weight).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
+        number / _sum_over_neighbours(part * weight).clamp_min(_LEAST)
+        for part in _gather_neighbours(index, 1 / disagreement, 1 / sure)
     )
     judged = known & (number >= limits.LEAST_NEIGHBOURS)
     return Outliers(
@@ -124,18 +128,18 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     )
 
 
-def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
+def _gather_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
     """Gather the values (B, k, N) of the k neighbours of each point, given point values (B, 1, N).
 
     The indices are (1 or B, k, N).
     """
     batch, _, points = values[0].shape
-    if index.shape[0] != 1:
-        return tuple(one[:, 0].gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
     rows, number = torch.cat(values, dim=1), index.flatten()
-    if torch.compiler.is_exporting() or not batch:  # this form of gather takes ONNX runtimes a quarter of the time
+    if index.shape[0] != 1:
+        there = rows.gather(2, index.flatten(1)[:, None].expand(-1, len(values), -1))
+    elif torch.compiler.is_exporting() or not batch:  # this form of gather takes ONNX runtimes a quarter of the time
         there = rows.gather(2, number.to(torch.int32).expand(batch, len(values), -1))
-    elif looks(rows):  # selecting from one row at a time is twice as fast
+    elif may_branch(rows):  # selecting from one row at a time is twice as fast
         there = torch.stack([row.index_select(0, number) for row in rows.flatten(0, 1)])
     else:
         there = rows.index_select(2, number)
@@ -144,18 +148,18 @@ def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
     return result
 
 
-def _total(values: Tensor) -> Tensor:
+def _sum_over_neighbours(values: Tensor) -> Tensor:
     """Return the sums (B, 1, N) of values (B, k, N) over the k neighbours of each point."""
     return values.sum(1, keepdim=True)
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """Measure how well points agree with neighbours: squared misfits z^2 (B, k, N), and the harmonic mean of 1 + z^2.
+    """Return squared misfits z^2 (B, k, N) between each point and its neighbours, and the harmonic mean of 1 + z^2.
 
     The mean is over the neighbours, and 1 where there are none.
     """
     distance = (u * u + v * v) * precision
-    agreeing = _total(weight / (1 + distance))
+    agreeing = _sum_over_neighbours(weight / (1 + distance))
     return distance, torch.where(number > 0, number / agreeing.clamp_min(_LEAST), 1.0)
 
 
@@ -165,25 +169,25 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
     Each slope is (B, 1, N). The data are differences u and v (B, k, N) at offsets x and y, with weights (B, k, N).
     """
     by_x, by_y = weight * x, weight * y
-    total, sum_x, sum_y = (_total(part) for part in (weight, by_x, by_y))
+    total, sum_x, sum_y = (_sum_over_neighbours(part) for part in (weight, by_x, by_y))
     total = total.clamp_min(_LEAST)
     mean_x, mean_y = sum_x / total, sum_y / total
-    xx = _total(by_x * x) - mean_x * sum_x
-    xy = _total(by_x * y) - mean_x * sum_y
-    yy = _total(by_y * y) - mean_y * sum_y
+    xx = _sum_over_neighbours(by_x * x) - mean_x * sum_x
+    xy = _sum_over_neighbours(by_x * y) - mean_x * sum_y
+    yy = _sum_over_neighbours(by_y * y) - mean_y * sum_y
     ridge = limits.RIDGE * (xx + yy) + _LEAST
     xx, yy = xx + ridge, yy + ridge
     determinant = (xx * yy - xy * xy).clamp_min(_LEAST)
     slopes = []
     for moved in (u, v):
-        rise = _total(weight * moved)
-        along_x = _total(by_x * moved) - mean_x * rise
-        along_y = _total(by_y * moved) - mean_y * rise
+        rise = _sum_over_neighbours(weight * moved)
+        along_x = _sum_over_neighbours(by_x * moved) - mean_x * rise
+        along_y = _sum_over_neighbours(by_y * moved) - mean_y * rise
         slopes += [(yy * along_x - xy * along_y) / determinant, (xx * along_y - xy * along_x) / determinant]
     return slopes
 
 
-def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far displacement differences u, v (B, k, N) lie above planes of given slopes (B, 1, N)."""
+def _plane_residuals(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the residuals of displacement differences u, v (B, k, N) from planes of given slopes (B, 1, N)."""
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

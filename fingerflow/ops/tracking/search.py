@@ -9,8 +9,9 @@ from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
+from fingerflow.ops.pieces import points_at_once
 
-_CHUNK = 128  # points per pass, which bounds the memory of the transforms
+_CHUNK = 128  # points per pass, so that the transforms stay in the cache
 _FAR = 2.0**30  # px: outside every image, and an integer
 
 
@@ -54,9 +55,10 @@ def search_windows(
         return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
     if not len(points):
         return guess.clone()
+    at_once = points_at_once(points, _CHUNK)
     found = [
         _search_coarse(coarse_templates, coarse_images, *part, size, reach)
-        for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
+        for part in zip(image_index.split(at_once), points.split(at_once), guess.split(at_once), strict=True)
     ]
     return torch.cat(found)
 
@@ -71,7 +73,7 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """Search for windows as `search_windows` does, and search back from each match to the start.
+    """Search for windows by `search_windows`, and check each match by a backward search.
 
     Return the positions (P, 2), and whether (P,) the backward search returns to the start. The search back is
     independent of the displacement found. It must end within `forward_backward_limit`, plus the pixel to which a search
@@ -148,10 +150,9 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
-    """Return the flat index (P,) of the highest score in each square map, or of the most central of nearly equal
-    scores.
+    """Return the flat index (P,) of the highest score in each square map; of nearly equal ones the most central.
 
-    Of several within `SEARCH_TIE` of it, the one nearest to the centre is returned.
+    Scores that differ from the highest by at most the fraction `SEARCH_TIE` count as equal to it.
     """
     highest = score.amax(1, keepdim=True)
     number = torch.arange(span * span, device=score.device)

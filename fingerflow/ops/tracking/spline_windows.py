@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.filters.windows import lines_of
-from fingerflow.ops.looking import looks
 
 MARGIN = 3  # px of a patch around its window: two for the support of the spline, one for the smoothing
 TAPS = 5
@@ -61,7 +61,7 @@ def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
 def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
     """Sample the spline on windows (P, size size), shifted by (P, 2) px from the centres of patches (P, side, side)."""
     weights = taps(shift)
-    if looks(patches, shift) and len(patches):
+    if may_branch(patches, shift) and len(patches):
         # A grouped convolution takes torch half the time of matrix products, and ONNX Runtime five times as long.
         weights = weights @ _smoothed(weights)
         both = weights[:, 1, :, None] * weights[:, 0, None, :]

@@ -124,19 +124,21 @@ def prepare_templates(
         return Templates(*kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding))
     if inverse is not None:
         spline = spline_coefficients(image)
-        return _of_spline(spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding)
+        return _sample_templates(
+            spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding
+        )
     known = finite(given).all(-1, keepdim=True)
     place = torch.where(known, given, 0.0)
-    sampled = _straight(image, place, window)
+    sampled = _sample_straight(image, place, window)
     return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Compute templates anew from the spline coefficients and the noise level of a key frame with integer grey levels.
+    """Prepare templates again (template update), from the spline coefficients and the noise of a key frame.
 
-    This is the exported form of `prepare_templates`.
+    This is the exported form of `prepare_templates`, for key frames with integer grey levels.
 
     Args:
         coefficients: (B, 1, H, W) of the key frame (`spline_coefficients`).
@@ -146,11 +148,14 @@ def renew_templates(
     kind = coefficients.dtype
     inverse, variance = inverse_2x2(warp.to(kind)), noise.to(kind).square()
     settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
-    return _of_spline(coefficients, points.to(kind), inverse, window, **settings)
+    return _sample_templates(coefficients, points.to(kind), inverse, window, **settings)
 
 
-def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Compute templates of points `given` (B, N, 2) by sampling a key frame's spline on windows deformed by F^-1."""
+def _sample_templates(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
+    """Compute templates of points (B, N, 2) by sampling the spline of the key frame on deformed windows.
+
+    `given` are the points, and `inverse` (B, N, 2, 2) the inverse deformation gradients.
+    """
     known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
     inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
     place = torch.where(known, given, 0.0)
@@ -252,7 +257,7 @@ def in_rounds(
 
 
 def first_of(wanted: Tensor) -> Tensor:
-    """Return indices (B, L) of the `wanted` points (B, N), filled up with other points to an equal number L per frame.
+    """Return indices (B, L) of all `wanted` points (B, N), followed by other points so that each frame has L indices.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
@@ -270,7 +275,7 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Insert the results `again` of the points `chosen` (B, L) into `found` (B, N), where `wanted` (B, N) is True."""
+    """Return `found` (B, N) with the results `again` of points `chosen` (B, L) inserted where `wanted` (B, N)."""
 
     def one(whole: Tensor, part: Tensor) -> Tensor:
         extra = [1] * (whole.ndim - 2)
@@ -297,7 +302,7 @@ def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
-    """Return True for points (..., 2) whose window the image contains, to within `SLACK` px."""
+    """Return a mask of the points (..., 2) whose whole window lies in the image, with a tolerance of `SLACK` px."""
     height, width = image.shape[-2:]
     half = window // 2
     least = half - limits.SLACK
@@ -312,7 +317,7 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
     return result
 
 
-def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
+def _sample_straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
     """Sample the spline and the spline's slopes on straight (undeformed) windows around points (B, N, 2) px."""
     known = place.transpose(1, 2)
     center = known.round()
@@ -327,7 +332,7 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
 
 
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
-    """Remove from slopes (P, 2, samples) the components that a change of gain and offset of the light would cause.
+    """Remove from slopes (P, 2, samples) the components that a change of illumination gain or offset would also cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
     """
@@ -475,7 +480,7 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return three sums over the residual of each registered window: squares, and edge differences in x and in y.
+    """Return three sums of the squared residual of each window: of all pixels, and edge differences in x and in y.
 
     The sums are (B, 3, N). The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D
     grad D in x and in y: half the differences of D^2 between opposite edges.

@@ -97,7 +97,7 @@ def track_points(
         ValueError: shapes do not match, the window is even or too small, or `passes` is not 1 or 2.
     """
     _check(previous, current, points, window, initial, warp, passes, noise)
-    images = _real(previous), _real(current)
+    images = _to_float(previous), _to_float(current)
     start, guess = points.detach(), (points if initial is None else initial).detach()
     plain = images[0].detach(), images[1].detach()
     if noise is None:
@@ -111,8 +111,8 @@ def track_points(
     return Tracks(where, passed.error, passed.covariance, passed.status)
 
 
-class Passed(NamedTuple):
-    """Points tracked by `in_passes`, with error, covariance, status, and the deformation of the templates.
+class PassResult(NamedTuple):
+    """Result of `in_passes`: tracked points with error, covariance and status, and the deformation of the templates.
 
     `warp` is (B, N, 2, 2), or None where templates are not deformed.
     """
@@ -134,7 +134,7 @@ def _like_passed(
     window: int,
     passes: int,
     *settings: float,
-) -> Passed:
+) -> PassResult:
     kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
     place, matrix = points.new_empty(points.shape, dtype=kind), points.new_empty((*points.shape, 2), dtype=kind)
     status = points.new_empty(points.shape[:2], dtype=torch.uint8)
@@ -142,7 +142,7 @@ def _like_passed(
         deformation: Tensor | None = torch.empty_like(warp)
     else:
         deformation = torch.empty_like(matrix) if passes == 2 else None
-    return Passed(place, place.new_empty(points.shape[:2]), matrix, status, deformation)
+    return PassResult(place, place.new_empty(points.shape[:2]), matrix, status, deformation)
 
 
 @torch_op(shapes=_like_passed)
@@ -159,7 +159,7 @@ def in_passes(
     search: int,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> Passed:
+) -> PassResult:
     """Track points in one or two passes, without derivatives; the arguments are those of `track_points`.
 
     One operator for the compiler, since the number of passes and searches depends on data.
@@ -194,7 +194,7 @@ def in_passes(
                 near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)
                 again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
                 found = replaced(found, again, chosen, renewed)
-    return Passed(found.points, found.error, found.covariance, found.status, warp)
+    return PassResult(found.points, found.error, found.covariance, found.status, warp)
 
 
 def _find(
@@ -296,7 +296,7 @@ def _check(
         raise ValueError(f"noise {tuple(noise.shape)} must be ({len(previous)},): one standard deviation an image pair")
 
 
-def _real(image: Tensor) -> Tensor:
+def _to_float(image: Tensor) -> Tensor:
     """Convert an image to float32, unless it is float64 or of a dtype that the kernels support."""
     return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
 
@@ -304,7 +304,7 @@ def _real(image: Tensor) -> Tensor:
 def _with_derivative(
     images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
 ) -> Tensor:
-    """Make the positions `found` differentiable with respect to images and points; the positions keep their values.
+    """Return the positions `found` with unchanged values, but differentiable with respect to images and points.
 
     The derivative is that of a Newton step from the root. At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0,
     hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.

@@ -44,10 +44,9 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     y = near_y + warp[:, 1, 0, None] * right + warp[:, 1, 1, None] * down
     # A deformed square lies in the image if its corners do; False where a position is NaN.
     side = math.isqrt(len(steps))
-    corners = torch.tensor([0, side - 1, side * (side - 1), side * side - 1], device=places.device)
     whole = torch.ones_like(pixel_x, dtype=torch.bool)
     for at, pixel, size in ((x, pixel_x, width), (y, pixel_y, height)):
-        edge = at.index_select(1, corners) + pixel
+        edge = at.unflatten(1, (side, side))[:, :: side - 1, :: side - 1].flatten(1) + pixel
         whole = whole & ((edge >= 1) & (edge <= size - 2)).all(1, keepdim=True)
     first_x, weights_x = _taps(x, pixel_x, whole, width)
     first_y, weights_y = _taps(y, pixel_y, whole, height)
@@ -68,7 +67,7 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """Return, along one axis, the first of the four pixels (N, m) that interpolate each sample, and all four weights.
+    """Return the first of the four pixels (N, m) that interpolate each sample along one axis, and the four weights.
 
     `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """

@@ -1,4 +1,4 @@
-"""Base class of pipeline stages: declarations of what a stage needs and computes, and methods that a run calls."""
+"""Base class of pipeline stages, with the inputs and outputs of a stage and the methods that a run calls."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

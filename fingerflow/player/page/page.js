@@ -246,6 +246,10 @@ function say(state, sentence) {
 async function refresh() {
   try {
     const answer = await fetch("live");
+    if (answer.status == 403) {  // another player answers here, whose token this page does not have
+      say("closed", "This page belongs to an earlier stream: open the address that the player has printed.");
+      return;
+    }
     if (!answer.ok) throw new Error(answer.status);
     const live = unpack(await answer.arrayBuffer());
     $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.player.sources.source import Asked, Source
+from fingerflow.player.sources.source import Source, SourceRequest
 from fingerflow.player.sources.video_source import open_video
 
 
@@ -17,10 +17,10 @@ class Reader(Protocol):
 
     READS: str  # the kind, in a word or two
 
-    def reads(self, asked: Asked) -> bool:
+    def reads(self, asked: SourceRequest) -> bool:
         """Return whether this module reads the requested file, judged by file name and settings alone."""
 
-    def open_frames(self, asked: Asked) -> Source:
+    def open_frames(self, asked: SourceRequest) -> Source:
         """Open the requested file or folder as a source of frames; raise an error that names the problem if that fails.
 
         Errors of other types than FingerflowError may occur.
@@ -44,7 +44,7 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
     ``shape`` and ``dtype`` are for raw files. Raises FingerflowError where there are no frames, or none that can be
     read.
     """
-    asked, known = Asked(path, first, shape, dtype), readers()
+    asked, known = SourceRequest(path, first, shape, dtype), readers()
     reader = next((one for one in known if one.reads(asked)), None)
     if reader is None and not path.is_file():
         raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")

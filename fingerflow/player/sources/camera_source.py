@@ -31,7 +31,7 @@ class CameraSource:
         self._grab, self._name = grab, name
 
     def read(self) -> Array | None:
-        """Return the next frame (H, W); None at the end.
+        """Return the next frame (H, W); None after the last frame.
 
         Raises OSError where the camera reports that it has no frame now, and PlayerError where it returns another type.
         """

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources.source import Asked, RecordedFrames, Source
+from fingerflow.player.sources.source import RecordedFrames, Source, SourceRequest
 from fingerflow.recordings.frames.open_recording import open_recording
 from fingerflow.recordings.frames.recording import Recording
 
@@ -16,12 +16,12 @@ _SUFFIXES = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
 log = logging.getLogger("fingerflow.player")
 
 
-def reads(asked: Asked) -> bool:
+def reads(asked: SourceRequest) -> bool:
     """Return whether the requested file has a suffix of one of the supported recording formats."""
     return asked.path.is_file() and asked.path.suffix.lower() in _SUFFIXES
 
 
-def open_frames(asked: Asked) -> Source:
+def open_frames(asked: SourceRequest) -> Source:
     """Open a recording as a source of frames; raise FingerflowError for a damaged file or a missing library."""
     try:
         recording = open_recording(asked.path)

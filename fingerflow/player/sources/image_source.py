@@ -12,19 +12,19 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources.source import Asked, RecordedFrames, Source
+from fingerflow.player.sources.source import RecordedFrames, Source, SourceRequest
 from fingerflow.schema.claimed_sizes import impossible_picture
 
 READS = "a folder of pictures"
 _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 
-def reads(asked: Asked) -> bool:
+def reads(asked: SourceRequest) -> bool:
     """Return whether the request is for a folder."""
     return asked.path.is_dir()
 
 
-def open_frames(asked: Asked) -> Source:
+def open_frames(asked: SourceRequest) -> Source:
     """Open a folder of images as a source of frames, in the order of the numbers in the file names.
 
     Raise PlayerError if it holds no images.

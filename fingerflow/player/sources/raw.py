@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources.source import Asked, RecordedFrames, Source
+from fingerflow.player.sources.source import RecordedFrames, Source, SourceRequest
 
 READS = "a raw file"
 
 
-def reads(asked: Asked) -> bool:
+def reads(asked: SourceRequest) -> bool:
     """Return whether the request is for a .raw or .bin file, or for any file with a given frame shape.
 
     Files of known formats are read by `formats`, which is asked before.
@@ -21,7 +21,7 @@ def reads(asked: Asked) -> bool:
     return asked.path.is_file() and (named or asked.shape is not None)
 
 
-def open_frames(asked: Asked) -> Source:
+def open_frames(asked: SourceRequest) -> Source:
     """Open a raw file as a memory-mapped source of the complete frames in the file.
 
     Raise PlayerError without a given shape or without a complete frame.

@@ -1,4 +1,4 @@
-"""Interface of frame sources, and the request from which a frame source is opened."""
+"""Define the interface of frame sources, and the request from which a source is opened."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Source(Protocol):
     live: bool  # True if frames arrive whether or not a buffer is free
 
     def read(self) -> Array | None:
-        """Return the next frame (H, W); None at the end."""
+        """Return the next frame (H, W); None after the last frame."""
 
     def close(self) -> None:
         """Close the file or camera."""
@@ -32,7 +32,7 @@ class Source(Protocol):
 OpenSource = Callable[[int], Source]  # from the number of the next frame
 
 
-class Asked(NamedTuple):
+class SourceRequest(NamedTuple):
     """Request to open a file or folder as a source of frames.
 
     Attributes:
@@ -55,12 +55,12 @@ class RecordedFrames:
         self._frames, self.close = frames, close
 
     def read(self) -> Array | None:
-        """Return the next frame (H, W); None at the end."""
+        """Return the next frame (H, W); None after the last frame."""
         return next(self._frames, None)
 
 
 def close_within(seconds: float, source: Source) -> None:
-    """Close a source of frames, but wait at most `seconds`; log a warning if that fails."""
+    """Close a source of frames, waiting at most `seconds`; log a warning if closing fails or takes longer."""
 
     def close() -> None:
         try:

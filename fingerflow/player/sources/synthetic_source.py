@@ -72,7 +72,7 @@ class Synthetic:
 
     def read(self) -> Array:
         """Return the next frame (H, W)."""
-        frame: Array = self._ring[self._place(self._next)]
+        frame: Array = self._ring[self._buffer_index(self._next)]
         self._next += 1
         return frame
 
@@ -81,13 +81,13 @@ class Synthetic:
 
         The divergence is included only for points seeded at the first restart, in frame 0.
         """
-        place = self._place(number)
+        place = self._buffer_index(number)
         known = self._growing if number < self.half_period else self._grown
         if restart != 1 or not known or math.isnan(known[place]):
             return self._expected[place]
         return self._expected[place] | {"median_divergence": known[place]}
 
-    def _place(self, number: int) -> int:
+    def _buffer_index(self, number: int) -> int:
         """Return the buffer index at which frame `number` is stored."""
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
@@ -97,7 +97,7 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Draw a finger: return the brightness of the skin, about -1 to 1, and the share of light lost to contact.
+    """Return the brightness of a drawn finger, about -1 to 1, and the share of light lost to contact.
 
     Both are (H, W) float32.
     """

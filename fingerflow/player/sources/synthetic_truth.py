@@ -54,7 +54,7 @@ class Pose(NamedTuple):
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Return the semi-axes of the visible contact ellipse: `semi`, shrunk so that the shorter is half a pixel less.
+        """Return the semi-axes of the visible contact, px: `semi` scaled so that the shorter one is half a pixel less.
 
         At that border the contact has lost half of its light.
         """
@@ -84,7 +84,7 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Return the true median over the contact of the divergence; the displacement of a point counts from its onset.
+    """Return the true median divergence over the contact, for displacements since each point's onset of contact.
 
     Points are seeded at progress 0. Skin u is touched at the progress p0(u) at which the growing contact reaches it:
     its displacement is x(u, p) - x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted

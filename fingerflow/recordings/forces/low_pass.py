@@ -135,7 +135,7 @@ def _over_angle(sine: Samples, angle: Samples) -> Samples:
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Correct filter weights (m, w) to a sum of 1 and, away from the ends of the record, to a first moment of 0."""
+    """Correct filter weights (m, w) to a sum of 1 and, except at the ends of the record, a first moment of 0."""
     weights = weights / weights.sum(1, keepdims=True)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)

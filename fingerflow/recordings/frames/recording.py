@@ -86,7 +86,7 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the codec if it predicts frames from others, so that standard deviations are invalid; else None."""
+        """Return the codec if it predicts frames from others, which makes standard deviations invalid; else None."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
@@ -341,7 +341,7 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 
 def possible_rate(rate: float) -> bool:
-    """Return whether a frame rate in Hz is possible: finite, positive, and such that frame times differ."""
+    """Return whether a frame rate in Hz is possible: finite, positive, and with distinct frame times."""
     return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
 
 

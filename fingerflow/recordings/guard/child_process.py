@@ -37,7 +37,7 @@ def check_in_child_process(path: Path, kind: str) -> None:
 
 
 def read_matlab_apart(path: Path) -> dict[str, Any]:
-    """Return the content of a MATLAB file, read apart from the calling process, in a child process.
+    """Return the content of a MATLAB file, which is read in a child process.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
@@ -71,7 +71,7 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process read a file; return the content, or a text that says what is wrong, "" if nothing."""
+        """Let the child process read a file; return the content, or an error text that is "" for a sound file."""
         with self._lock:
             process = self._running()
             if process is None:

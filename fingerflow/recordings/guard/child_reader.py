@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Call `through` on a file with limits of time and memory; return the content, or what is wrong, "" if nothing."""
+    """Read a file by `through` with limits of time and memory; return the content, or an error text ("" if sound)."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -51,7 +51,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Traverse objects, attributes and chunk indexes of an HDF5 file; return what is wrong, or ""."""
+    """Traverse objects, attributes and chunk indexes of an HDF5 file; return an error text, or "" on success."""
     import h5py
 
     count = 0
@@ -74,8 +74,7 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or a text that says what is wrong in the
-    file.
+    """Return the content of a MATLAB file in JSON types (:func:`as_json`), or an error text.
 
     SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
     elsewhere. Therefore the values themselves are passed on.
@@ -142,7 +141,7 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
 
 
 def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
-    """Return what is wrong in the chunk index of an HDF5 data set, since HDF5 reads wrong values without an error.
+    """Return an error in the chunk index of an HDF5 data set, which HDF5 itself does not report; None if correct.
 
     Each chunk has a place of its own in the grid and bytes of its own in the file, as many as its filters leave it.
     Chunks that were never written are allowed. HDF5 crashes on a chunk that is shorter than its checksum.

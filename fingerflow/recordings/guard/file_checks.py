@@ -1,4 +1,4 @@
-"""Checks that files are readable and plausible in size, and conversion of library exceptions to error messages."""
+"""Check that files are readable and plausible in size, and convert library exceptions to error messages."""
 
 from __future__ import annotations
 

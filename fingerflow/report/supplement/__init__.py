@@ -1,4 +1,4 @@
-"""Figures of the supplement of Willemet et al. 2021 that simulation and tables can give, and movie of the model."""
+"""Figures of the supplement of Willemet et al. 2021, made from simulations and tables, and a movie of the model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.report.model_movie import write_movie
 from fingerflow.report.supplement.of_models import decomposition, half_sphere, strains_at_depth
 from fingerflow.report.supplement.of_observer import curl, ideal_observer, individual_performance
@@ -55,20 +56,23 @@ class Written:
         return f"{self.name}: {self.path}" + (f" (without {skipped})" if skipped else "")
 
 
-def write_supplement(sources: Sources, folder: Path, progress: bool = True, overwrite: bool = False) -> list[Written]:
-    """Write each figure as PNG and the movie of the model as `M3.mp4` into a folder, which is created if missing.
+def write_supplement(
+    sources: Sources, folder: Path, progress: bool = True, overwrite: bool = False, files: FigureFiles = PNG
+) -> list[Written]:
+    """Write each figure and the movie of the model as `M3.mp4` into a folder, which is created if missing.
 
     Raises FingerflowError where a file cannot be written or a trace cannot be cut into epochs; and, before anything is
     drawn, where without ``overwrite`` a file of such a name is there that is no such figure.
     """
-    for name in (*(f"{figure}.png" for figure in FIGURES), MOVIE):
-        keep_others(folder / name, is_marked, overwrite)
+    for figure in FIGURES:
+        files.keep_others(folder, figure, overwrite)
+    keep_others(folder / MOVIE, is_marked, overwrite)
     written = []
     with tqdm(FIGURES.items(), desc="figures", disable=not progress, leave=False) as bar:
         for name, make in bar:
             bar.set_postfix_str(name)
             sheet = make(sources)
-            path = sheet.write(folder) if sheet.panels else None
+            path = sheet.write(folder, files) if sheet.panels else None
             written.append(Written(name, path, sheet.left_out))
     movie = write_movie(sources.presses, folder / MOVIE, progress)
     return [*written, Written("M3", movie, ())]

@@ -13,6 +13,8 @@ from fingerflow.report.strains_at_depth import (
 from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import Sources
 
+_STACKED = 1.6  # relative height of a panel of several axes
+
 
 def half_sphere(_: Sources) -> Sheet:
     """Return figure S4: a half-sphere of skin pressed flat."""
@@ -23,13 +25,15 @@ def half_sphere(_: Sources) -> Sheet:
             SheetPanel.of_axes("B", draw_lengths),
             SheetPanel.of_axes("C", draw_radial_strain),
         ),
+        title="half-sphere of skin pressed flat",
     )
 
 
 def decomposition(sources: Sources) -> Sheet:
     """Return figure S6: decomposition of the displacement field of the simulated press."""
     found = decompose(sources.field.reference, sources.field.displacement)
-    return Sheet("S6", (SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
+    panel = SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8, narrow_rows=2.8)
+    return Sheet("S6", (panel,), title="decomposition of the displacement field of a simulated press")
 
 
 def strains_at_depth(sources: Sources) -> Sheet:
@@ -38,11 +42,12 @@ def strains_at_depth(sources: Sources) -> Sheet:
     return Sheet(
         "S10",
         (
-            SheetPanel("A", lambda part: draw_evolution(part, presses)),
-            SheetPanel("B", lambda part: draw_surface(part, presses)),
-            SheetPanel("C", lambda part: draw_stress_map(part, presses, depth)),
-            SheetPanel("D", lambda part: draw_receptor_stress(part, presses, depth)),
+            SheetPanel("A", lambda part: draw_evolution(part, presses), rows=_STACKED),
+            SheetPanel("B", lambda part: draw_surface(part, presses), rows=_STACKED),
+            SheetPanel("C", lambda part: draw_stress_map(part, presses, depth), rows=_STACKED),
+            SheetPanel("D", lambda part: draw_receptor_stress(part, presses, depth), rows=_STACKED),
             SheetPanel("E", lambda part: draw_strain_in_time(part, presses, depth)),
             SheetPanel.of_axes("F", draw_compression, presses, depth),
         ),
+        title="stress and strain under the skin of the simulated presses",
     )

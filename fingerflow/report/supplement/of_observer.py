@@ -55,7 +55,7 @@ def ideal_observer(sources: Sources) -> Sheet:
         ),
     )
     left_out = (f"the metrics need {sources.lacks(*missing)}",) if missing else ()
-    return Sheet("S11", panels, left_out)
+    return Sheet("S11", panels, left_out, "ideal observer of each metric")
 
 
 def individual_performance(sources: Sources) -> Sheet:
@@ -86,19 +86,20 @@ def individual_performance(sources: Sources) -> Sheet:
         left_out.append(f"C needs {_FEWEST_AMPLITUDES} amplitudes in the column condition or more")
     else:
         panels.append(SheetPanel.of_axes("C", _draw_curves, parts, GUESSES[sources.design]))
-    return Sheet("S12", tuple(panels), tuple(left_out))
+    return Sheet("S12", tuple(panels), tuple(left_out), "performance of participants")
 
 
 def curl(sources: Sources) -> Sheet:
-    """Return figure S13: curl, in panels A and B of the simulated press, in C of the table of trials."""
+    """Return figure S13: curl of the simulated press (panels A and B) and of the trials in a table (C)."""
     panels = [
         SheetPanel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
         SheetPanel("B (simulated press)", lambda part: draw_median_curl(part.subplots(), sources.field)),
     ]
+    title = "curl of the displacement"
     lacks = sources.lacks("divergence", "curl")
     if lacks:
-        return Sheet("S13", tuple(panels), (f"C needs {lacks}",))
-    return Sheet("S13", (*panels, SheetPanel.of_axes("C", draw_curl_against_divergence, sources.trials)))
+        return Sheet("S13", tuple(panels), (f"C needs {lacks}",), title)
+    return Sheet("S13", (*panels, SheetPanel.of_axes("C", draw_curl_against_divergence, sources.trials)), title=title)
 
 
 def _draw_curves(axes: Axes, parts: dict[str, Trials], guess: float | None) -> None:

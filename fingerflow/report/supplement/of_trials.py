@@ -47,7 +47,7 @@ def friction_and_area(sources: Sources) -> Sheet:
         ("D", _BY_CONDITION_NORMALISED, "gross_contact_area"),
         ("F", _BY_CONDITION_NORMALISED, "real_contact_area"),
     )
-    return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking))
+    return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking), "friction and contact area")
 
 
 def kinematics(sources: Sources) -> Sheet:
@@ -68,11 +68,12 @@ def kinematics(sources: Sources) -> Sheet:
         SheetPanel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
         SheetPanel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
     )
-    return Sheet("S5", (*found, *chain), Sheet.sentences([("A", _RECORDING), *lacking]))
+    left_out = Sheet.sentences([("A", _RECORDING), *lacking])
+    return Sheet("S5", (*found, *chain), left_out, "force and motion of the trials")
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7: displacement and force angle; D and E use differences if the table has them."""
+    """Return figure S7: displacement and force angle; D and E use differences from the reference where known."""
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
@@ -81,13 +82,19 @@ def displacement_and_angle(sources: Sources) -> Sheet:
         ("D", draw_share_against, sources.difference("force_angle")),
         ("E", draw_share_against, sources.difference("real_contact_area")),
     )
-    return Sheet("S7", tuple(found), Sheet.sentences(lacking))
+    return Sheet("S7", tuple(found), Sheet.sentences(lacking), "displacement and force angle")
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8: surface strain; B, D, E and F by the skin chain, H by differences if the table has them."""
+    """Return figure S8: surface strain, in panels B, D, E and F from the skin chain, else from the table of trials."""
     chain = (
-        SheetPanel("B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses), columns=3, rows=2),
+        SheetPanel(
+            "B and D (skin chain)",
+            lambda part: draw_strain_maps(part, sources.presses),
+            columns=3,
+            rows=2,
+            narrow_rows=1.6,
+        ),
         SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
         SheetPanel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
     )
@@ -97,7 +104,8 @@ def surface_strain(sources: Sources) -> Sheet:
         ("H", draw_share_against, sources.difference("strain")),
         ("I", draw_share_against, "strain_rate"),
     )
-    return Sheet("S8", (*chain, *found), Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking]))
+    left_out = Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking])
+    return Sheet("S8", (*chain, *found), left_out, "strain of the surface")
 
 
 def strain_energy(sources: Sources) -> Sheet:
@@ -112,7 +120,7 @@ def strain_energy(sources: Sources) -> Sheet:
         ("D", draw_correlation, "divergence", "strain_energy"),
         ("E", draw_share_against, sources.difference("strain_energy")),
     )
-    return Sheet("S9", (*chain, *found), Sheet.sentences(lacking))
+    return Sheet("S9", (*chain, *found), Sheet.sentences(lacking), "strain energy")
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:

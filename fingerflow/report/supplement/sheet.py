@@ -7,67 +7,95 @@ from typing import Any
 
 from matplotlib.figure import Figure, SubFigure
 
-from fingerflow.report.picture_files import save_figure
+from fingerflow.plot.axes_style import TWO_COLUMNS_MM, figure_style, new_figure
+from fingerflow.plot.captions import caption_of, describe
+from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.plot.panels import captions_of, letter_panel
 
 _COLUMNS = 3
-_PANEL_INCHES = (4.6, 3.8)
+_WIDE_MM, _HIGH_MM = 55.0, 48.0  # least width and height of a panel, with which its text has room
+_FLATTEST = 0.5  # least height of a panel as a share of its width
 
 
 @dataclass(frozen=True)
 class SheetPanel:
-    """Panel of a figure: letter, drawing function, width in columns (of three), and relative height."""
+    """Panel of a figure: its letter in print, drawing function, width in columns (of three), and relative height.
+
+    `narrow_rows` is its relative height in a figure with fewer columns than it takes, where that differs.
+    """
 
     letter: str
     draw: Callable[[SubFigure], Any]
     columns: int = 1
     rows: float = 1.0
+    narrow_rows: float | None = None
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
         """Return a panel with a single axes, into which ``draw(axes, *values)`` draws."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
+    def height(self, columns: int) -> float:
+        """Return the relative height in a figure of some columns."""
+        return self.rows if columns >= self.columns or self.narrow_rows is None else self.narrow_rows
+
 
 @dataclass(frozen=True)
 class Sheet:
-    """Figure of the supplement with its panels; `left_out` says which panels are missing and what they need."""
+    """Figure of the supplement with its panels; `left_out` says which printed panels are missing and what they need.
+
+    Panels of the figure have letters without gaps; its caption says which panel in print each is.
+    """
 
     name: str
     panels: tuple[SheetPanel, ...]
     left_out: tuple[str, ...] = ()
+    title: str = ""
 
     @staticmethod
     def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return a sentence for each missing input on the panels that need it, from pairs of panel letter and input."""
+        """Return, for each missing input, a sentence that names the panels that need it."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)
         return tuple(f"{', '.join(of)} need{'s' * (len(of) == 1)} {need}" for need, of in letters.items())
 
-    def figure(self) -> Figure:
-        """Draw the panels in rows of three columns, each with its letter."""
-        rows: list[list[SheetPanel]] = []
-        for panel in self.panels:
-            if not rows or sum(other.columns for other in rows[-1]) + panel.columns > _COLUMNS:
-                rows.append([])
-            rows[-1].append(panel)
-        columns = max(sum(panel.columns for panel in row) for row in rows)
-        wide, high = _PANEL_INCHES
-        heights = [max(panel.rows for panel in row) for row in rows]
-        figure = Figure(figsize=(wide * columns, high * sum(heights)), layout="constrained")
-        grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
-        for number, row in enumerate(rows):
-            at = 0
-            for panel in row:
-                part = figure.add_subfigure(grid[number, at : at + panel.columns])
-                if panel.letter:
-                    part.suptitle(panel.letter, x=0.01, ha="left", fontweight="bold")
-                panel.draw(part)
-                at += panel.columns
+    def figure(self, width_mm: float = TWO_COLUMNS_MM) -> Figure:
+        """Draw the panels in rows of at most three, each with its letter, and attach the caption."""
+        rows, columns = self._rows(width_mm)
+        heights = [max(panel.height(columns) for panel in row) for row in rows]
+        with figure_style(width_mm):
+            high_mm = max(_HIGH_MM, _FLATTEST * width_mm / columns)
+            figure = new_figure(high_mm * sum(heights) / width_mm)
+            grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
+            parts: list[SubFigure] = []
+            for number, row in enumerate(rows):
+                at = 0
+                for panel in row:
+                    wide = min(panel.columns, columns)
+                    part = figure.add_subfigure(grid[number, at : at + wide])
+                    if len(self.panels) > 1:
+                        letter_panel(part, len(parts))
+                    panel.draw(part)
+                    parts.append(part)
+                    at += wide
+        heading = f"Figure {self.name}{': ' * bool(self.title)}{self.title}."
+        names = [f"as {self.name} {panel.letter.replace(' (', ', ').rstrip(')')}" for panel in self.panels]
+        captions = captions_of(parts, names) if len(parts) > 1 else [caption_of(parts[0])]
+        describe(figure, "\n".join((heading, *captions)))
         return figure
 
-    def write(self, folder: Path) -> Path:
-        """Write the figure as PNG under its name ("S1.png") atomically; raise FingerflowError if that fails."""
-        path = folder / f"{self.name}.png"
-        save_figure(self.figure(), path)
-        return path
+    def write(self, folder: Path, files: FigureFiles = PNG) -> Path:
+        """Write the figure under its name ("S1.png") and its caption; raise FingerflowError if that fails."""
+        return files.save(self.figure(files.width_mm or TWO_COLUMNS_MM), folder, self.name)
+
+    def _rows(self, width_mm: float) -> tuple[list[list[SheetPanel]], int]:
+        """Return the panels in rows, and the number of columns, in each of which a panel has at least 55 mm."""
+        columns = max(1, min(_COLUMNS, int(width_mm // _WIDE_MM), sum(panel.columns for panel in self.panels)))
+        rows: list[list[SheetPanel]] = []
+        for panel in self.panels:
+            taken = sum(min(other.columns, columns) for other in rows[-1]) if rows else columns
+            if taken + min(panel.columns, columns) > columns:
+                rows.append([])
+            rows[-1].append(panel)
+        return rows, columns

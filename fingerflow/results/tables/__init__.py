@@ -1,4 +1,4 @@
-"""Export of results for other programs: tables by frame, point or track, MATLAB files, and maps on a grid."""
+"""Export results to other programs: tables by frame, point or track, MATLAB files, and maps on a grid."""
 
 from fingerflow.results.tables.table_files import export_map as export_map
 from fingerflow.results.tables.table_files import export_table as export_table

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.contact.cells import at_places, cell_means, covered, mask_of, widest
+from fingerflow.ops.contact.cells import at_places, cell_means, covered, largest_around, mask_of
 
 
 @pytest.mark.parametrize("cell", [1, 2, 4, 8])
@@ -43,4 +43,4 @@ def test_a_border_is_found_to_a_fraction_of_a_pixel(cell: int) -> None:
 
 def test_neighbourhoods() -> None:
     cells = torch.rand(2, 1, 6, 5, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(widest(cells), torch.nn.functional.max_pool2d(cells, 3, 1, 1))
+    assert torch.equal(largest_around(cells), torch.nn.functional.max_pool2d(cells, 3, 1, 1))

@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from bench.suites.flow_outliers import dust, jump
-from fingerflow.kernels.flow import Left
+from fingerflow.kernels.flow import FlowResidual
 from fingerflow.ops import dense_flow
 from fingerflow.ops.filters.spline import spline_coefficients
-from fingerflow.ops.flow.dense_flow import _left, _refined, prepare_flow
-from fingerflow.ops.flow.flow_cells import course, integrated, to_cells
+from fingerflow.ops.flow.dense_flow import _refined, _residual, prepare_flow
+from fingerflow.ops.flow.flow_cells import integrated, to_cells, trend
 from fingerflow.ops.flow.flow_multigrid import laplacian
 from fingerflow.ops.flow.flow_penalty import data_weights, edge_weights
 from tests.ops.flow.test_dense_flow import GREY, errors, pair, photograph, wave
@@ -64,10 +64,10 @@ def test_warps_lead_to_the_fixed_point_of_the_weighted_equation() -> None:
     def unbalanced(warps: int) -> float:
         still = torch.zeros_like(template.products[:, :2])
         flow, *_ = _refined(template, current.double(), still, warps, "charbonnier")
-        left = _left(template, coefficients, flow)
+        left = _residual(template, coefficients, flow)
         known = (left.seen > 0).double()
         finest = template.levels[0]
-        departure = known * (flow - course(flow, known))
+        departure = known * (flow - trend(flow, known))
         right, down = edge_weights(departure, template.roughness)
         data = integrated(data_weights(left, 0.42**2 * template.variance) * left.data, template.weights)
         smoothing = laplacian(finest._replace(right=finest.right * right, down=finest.down * down), departure)
@@ -95,7 +95,7 @@ def test_weights_of_the_data() -> None:
     expected = (0.42 * noise) ** 2
     squares = torch.tensor([1.0, 25.0, 1e8, 0.0], dtype=torch.float64).view(1, 1, 1, 4) * expected
     seen = torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64).view(1, 1, 1, 4)
-    left = Left(squares, squares, seen, torch.ones(1, 1, 1, 1, dtype=torch.float64))
+    left = FlowResidual(squares, squares, seen, torch.ones(1, 1, 1, 1, dtype=torch.float64))
     weights = data_weights(left, torch.tensor([expected], dtype=torch.float64)).flatten()
     assert weights[0] == pytest.approx(1)
     assert weights[1] == pytest.approx(math.sqrt(5 / 29))
@@ -106,6 +106,6 @@ def test_weights_of_the_data() -> None:
 def test_noise_alone_has_weights_of_one_in_the_mean() -> None:
     first, current, truth = pair(wave, noise=2.0)
     template = prepare_flow(first, noise=torch.tensor([2.0], dtype=torch.float64))
-    left = _left(template, spline_coefficients(current), to_cells(truth, template.inside))
+    left = _residual(template, spline_coefficients(current), to_cells(truth, template.inside))
     mean = data_weights(left, 0.42**2 * template.variance)[left.seen == 1].mean()
     assert 0.95 < float(mean) < 1.05

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stages_alone import inputs_of, run, trial_of, values_of
 
 from fingerflow.graphs.fields_graph import Fields
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
@@ -22,6 +23,7 @@ from fingerflow.pipeline.stages.fields.median_bias import MedianBias, of_ranks
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain_stage as strain
+from fingerflow.pipeline.stages.strain.contact_energy import perimeter
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
@@ -144,7 +146,7 @@ NAMES = {
     "median curl": ("median_curl", "median_curl_std"),
     "median strain": ("median_strain", "median_strain_std"),
     "strain": ("strain", "strain_std"),
-    "energy": ("strain_energy", "strain_energy_std"),
+    "energy": ("strain_energy_between_points", "strain_energy_between_points_std"),
 }
 
 
@@ -164,7 +166,7 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
     their deviation, and that of energy, is by the errors of the points; what else is in it has tests with presses and
     slides."""
     monkeypatch.setattr(MedianBias, "square", lambda bias: np.zeros((FRAMES, 5)))
-    monkeypatch.setattr(strain, "border_energy", lambda density, *_, reach_mm: np.zeros(len(density)))
+    monkeypatch.setattr(strain, "border_density", lambda density, *_, reach_mm: np.zeros(len(density)))
     motion, points = MOTIONS[kind], material()
     errors: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
     stated: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
@@ -294,10 +296,29 @@ def test_energy_in_a_strip_along_the_border() -> None:
     quarter = np.stack((-places[..., 1], places[..., 0]), axis=-1)
     center, semi_axes, angle = np.tile([3.0, -1.0], (3, 1)), np.tile([2.0, 1.0], (3, 1)), np.array([0, np.pi / 2, 0])
     at = np.concatenate([places, quarter, places]) + np.array([3.0, -1.0])
-    found = strain.border_energy(density, np.ones(400), at, Border(center, semi_axes, angle), reach_mm=0.4)
+    border = Border(center, semi_axes, angle)
+    found = BORDER_MM * perimeter(semi_axes) * strain.border_density(density, np.ones(400), at, border, reach_mm=0.4)
     assert found[0] == pytest.approx(9.6884 * BORDER_MM, rel=1e-4)
     assert 2 < found[1] / found[0] < 5  # half of the border has 7, the other half 0
     assert found[2] == 0
+
+
+def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() -> None:
+    """Since the first frame, an even stretch: its density times the area of the contact, as all skin has it; the rest
+    of the contact has the density of the triangles beside it. 3 %: the strip of triangles that lie across the border.
+    """
+    motion, points = Motion((0.002, 0.001), ((0.001, 0.0002), (0.0, 0.0008)), 0.0), material()
+    trial = tracked(motion, points, 0)
+    trial.inputs.scene.fields.reference = "first_frame"
+    found = measured(trial)
+    gradient = (FRAMES - 1) * np.array(motion.gradient)
+    density = float(strain_energy_density(green_lagrange(torch.from_numpy(gradient))))
+    area = contact()["gross_contact_area"][-1] / np.linalg.det(np.eye(2) + gradient)
+    energy = values_of(found, "strain_energy")[-1]
+    assert energy == pytest.approx(2 * density * area, rel=0.03)
+    between = values_of(found, "strain_energy_between_points")[-1]
+    assert between < 0.97 * energy
+    assert values_of(found, "strain_energy_std")[-1] > (energy - between) / 2
 
 
 def test_medians_miss_nothing_before_the_onset() -> None:

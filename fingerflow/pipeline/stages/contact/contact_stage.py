@@ -149,17 +149,16 @@ class ContactStage(Stage):
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the gross contact (1, 1, h, w) in the reference frame, joined with the first frame's if the two differ
-        much.
+        """Return the gross contact (1, 1, h, w) of the reference frame, or its union with that of the first frame.
 
-        It is extended where more than `window_px`^2 pixels of the first usable frame's region lie outside. That contact
-        has left its first region since, and skin there has no onset to wait for.
+        The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside. That
+        contact has left its first region since, and skin there has no onset to wait for.
         """
         largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the union of the gross contacts in the first usable and the reference frame, dilated, as (1, 1, h, w).
+        """Return the dilated union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame.
 
         A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
         sides of the contact border.
@@ -180,7 +179,7 @@ class ContactStage(Stage):
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
 
     def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
-        """Return the share of lit pixels that are brighter in a frame than on the empty glass, gain included."""
+        """Return the share of lit pixels that are brighter in a frame than on the empty glass, corrected for gain."""
         frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
         images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])

@@ -28,8 +28,7 @@ Points = NDArray[np.float64]
 
 
 class Moved(NamedTuple):
-    """Displacement of N points in n frames from the reference position; NaN before contact and for points that never
-    touch.
+    """Displacement of N points in n frames from the reference position; NaN before contact.
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
@@ -298,7 +297,7 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return positions (..., N, 2) mm of N points in individual `frames` (..., N); frame -1 is the last one."""
+        """Return the positions (..., N, 2) mm of N points, each in its own frame (`frames`, -1 for the last frame)."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
@@ -316,7 +315,7 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Return the values (..., P, ...) of points in individual `frames` (..., P), from `values` (frames, N, ...)."""
+    """Return the `values` (..., P, ...) of points, each in its own frame of `frames` (..., P)."""
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

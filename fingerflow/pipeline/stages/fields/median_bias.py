@@ -20,7 +20,7 @@ EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact
 
 
 class MedianBias:
-    """Variance of the medians of divergence, curl and strain in T frames that does not come from position errors.
+    """Variance of the medians of divergence, curl and strain in T frames that position errors do not explain.
 
     It has four parts:
 
@@ -92,8 +92,7 @@ class MedianBias:
 
 
 def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the part of the variance (n, 5) of the medians in n frames that comes from an uncertain rank of the
-    median.
+    """Return the variance (n, 5) of the medians in n frames that results from their uncertain rank.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.

@@ -1,4 +1,4 @@
-"""Forces at the times of the frames: aligned to the trigger, converted to newtons and low-pass filtered."""
+"""Compute the forces at the times of the frames: aligned to the trigger, in newtons and low-pass filtered."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Medians over points, and time derivatives of quantities measured in every frame."""
+"""Compute medians over points, and time derivatives of series."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -99,7 +99,7 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Prepare the dense flow; return the function that gives the seen (blurred) displacement near a slip border."""
+        """Prepare the dense flow; return the function that predicts the blurred displacement near a slip border."""
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
@@ -136,7 +136,7 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Store how far point displacements (N, 2) mm differ from the flow (N, 3) px: in mm, and in deviations."""
+        """Store the difference between points (N, 2) mm and dense flow (N, 3) px, in mm and in standard deviations."""
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():

@@ -1,4 +1,4 @@
-"""Grids on the contact for displacement and stick region: cells, and a fine grid of four times the resolution."""
+"""Define two grids on the contact: cells, and a fine grid of four times the resolution."""
 
 from typing import Any
 

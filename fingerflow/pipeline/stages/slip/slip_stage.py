@@ -164,7 +164,7 @@ class SlipStage(Stage):
         return means, grid.displacement(means)
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the displacement (N, 2) mm in one frame of the skin that lay at the points in the first frame."""
+        """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
         return motion
 
     def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:

@@ -68,7 +68,7 @@ class StuckBorder:
         self._of_width = np.zeros(200)  # level for each width
 
     def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
-        """Add the displacements in one frame to the data to which the border of the stick region is fitted.
+        """Add the displacements in one frame to the fit of the stick region's border.
 
         Args:
             moved: (N, 2) mm, displacement of the points, NaN where lost.

@@ -120,7 +120,7 @@ class MarkerContactStage(ContactStage):
         return max(threshold, _LEAST_CHANGE)
 
     def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """Return the change of light (n, 1, h, w) in cells since rest, measured on pixels that markers do not cover.
+        """Return the change of light (n, 1, h, w) in cells since rest, measured beside the markers.
 
         It is 0 in cells that show nothing but markers.
         """

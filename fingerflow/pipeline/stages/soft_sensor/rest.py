@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 
 
 class Rest(NamedTuple):
-    """Frame in which a gel is at rest, and mask (F,) of all frames with marker positions equal to those at rest."""
+    """Frame in which a gel is at rest, and mask (F,) of all frames in which the markers lie at rest positions."""
 
     frame: int
     alike: NDArray[np.bool_]

@@ -223,7 +223,7 @@ def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
 
 
 def _torn(moved: Tensor, ties: Ties) -> Tensor:
-    """Return a mask (N,) of markers that have moved away from most neighbours by more than a gel can stretch."""
+    """Return a mask (N,) of markers whose displacement differs from most neighbours more than a gel can stretch."""
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

@@ -1,4 +1,4 @@
-"""Triangles of skin for strain, and the reference position and reference frame of every corner."""
+"""Select the triangles for strain, with reference position and reference frame of every corner."""
 
 import numpy as np
 from numpy.typing import NDArray

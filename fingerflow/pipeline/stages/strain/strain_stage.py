@@ -11,15 +11,16 @@ from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.border_energy import border_energy
+from fingerflow.pipeline.stages.strain.border_density import border_density
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.schema.variables import STRAIN
-from fingerflow.tracker.contact_border import Border
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 
 # Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
 # one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.
@@ -30,11 +31,15 @@ _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 class StrainStage(Stage):
     """Stage that computes strain and strain energy on Delaunay triangles between the reference positions of the points.
 
-    The energy is that of the skin in contact: of triangles that have touched as a whole and have two or more corners in
-    the contact now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted.
-    Skin between the outermost points and the border is in no triangle: on the simulated press, with 700 points, 5 % of
-    the contact at the end and 10 to 17 % before. By the formulas of that press, this skin has 16 % of the energy at the
-    end and a quarter to 40 % of it before, as strain since the onset is largest at a moving border.
+    The energy of all skin in contact is that of a field which vanishes at the border (`contact_energy`), where
+    displacement counts from the onset and is seen to fall towards the border. Elsewhere, as on a slide or when the
+    finger is lifted, it is the sum over the triangles, and the skin between them and the border has the density of the
+    triangles beside it.
+
+    The sum over triangles is that of triangles that have touched as a whole and have two or more corners in the contact
+    now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted. Skin
+    between the outermost points and the border is in no triangle: on the simulated press, with 700 points, it has a
+    sixth of the energy at the end and a quarter to a half of it before.
     """
 
     name = "strain"
@@ -50,7 +55,7 @@ class StrainStage(Stage):
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._energy, self._energy_std = np.full((2, len(trial)), np.nan)
+        self._energy, self._energy_std, self._between, self._between_std = np.full((4, len(trial)), np.nan)
 
     def begin(self) -> None:
         self.warnings.extend(plausibility.of_young_modulus(self._settings.young_modulus_mpa))
@@ -76,6 +81,9 @@ class StrainStage(Stage):
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
         self._missing = MissingEnergy(self._areas)
+        solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
+        self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
+        self._border = Border.of(self.trial.stage(ContactStage).series)
 
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
@@ -103,17 +111,51 @@ class StrainStage(Stage):
             both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
-        self._energy[batch.indices] = found.energy.cpu()
-        density = found.density.cpu().numpy()
-        missing = self._missing.see(density, touching)
-        of_border = border_energy(
-            np.where(touching, density, np.nan),
-            self._areas,
-            self._sum_of_corners(self.results["position"][batch.indices]) / 3,
-            Border.of(self.trial.stage(ContactStage).series).at(batch.indices),
+        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), found.energy_std)
+
+    def _sum_up(
+        self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
+        between_std: torch.Tensor,
+    ) -> None:  # fmt: skip
+        """Store the energies of a batch of frames, of the triangles and of the whole contact."""
+        frames, border = batch.indices, self._border.at(batch.indices)
+        position = self.results["position"][frames]
+        beside = border_density(
+            *(np.where(touching, density, np.nan), self._areas, self._sum_of_corners(position) / 3, border),
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
-        self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu().numpy(), missing), of_border)
+        strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
+        squares = (between_std.cpu().numpy(), self._missing.see(density, touching), strip)
+        deviation = np.sqrt(sum(np.square(one) for one in squares))
+        self._between[frames], self._between_std[frames] = between, deviation
+        rim = beside * self._rim_area(position, touching, border)
+        self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
+        field = self._onset_field(batch.of(DisplacementStage), frames)
+        for frame, whole in zip(frames, self._whole.of_frames(*field, border), strict=True):
+            if np.isfinite(whole.energy):
+                self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
+
+    def _onset_field(
+        self, moved: Moved, frames: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
+        """Return arguments of `ContactEnergy.of_frames`; no point counts if displacement is not since the onset."""
+        stage = self.trial.stage(DisplacementStage)
+        counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
+        counts[:, stage.entered] = False
+        counts &= stage.by_onsets
+        variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
+        return self.results["position"][frames], moved.displacement, variance, counts
+
+    def _rim_area(
+        self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
+    ) -> NDArray[np.float64]:
+        """Return the area (n,) mm^2 of the contact outside of the triangles that touch."""
+        first, second, third = (position[:, one] for one in self._skin.triangles.T)
+        (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
+        areas = abs(ax * by - ay * bx).T / 2
+        inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
+        result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
+        return result
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
@@ -130,11 +172,14 @@ class StrainStage(Stage):
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
-        energy, deviation = (
-            np.where(nothing, 0.0, self._settings.depth_mm * one) for one in (self._energy, self._energy_std)
-        )
-        self.results.put("strain_energy", energy, depth)
-        self.results.put("strain_energy_std", deviation, depth)
+        for name, values in {
+            "strain_energy": self._energy,
+            "strain_energy_std": self._energy_std,
+            "strain_energy_between_points": self._between,
+            "strain_energy_between_points_std": self._between_std,
+        }.items():
+            self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
+        energy = self.results["strain_energy"][:]
         rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
         self.results.put("strain_energy_rate", rates)
 

@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of cells, in contact now or soon, that have no point (N, 2) within `far` px.
+        """Return the flattened mask of cells in contact (now or soon) without a point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -180,6 +180,6 @@ class NewSkin:
 
 
 def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Convert indices of sampled cells (every `_STEP`-th one) to px coordinates of the cell centres along an axis."""
+    """Return the px coordinate of the cell centre for each index of a sampled cell (every `_STEP`-th) along an axis."""
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

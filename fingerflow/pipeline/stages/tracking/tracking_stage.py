@@ -283,7 +283,7 @@ class TrackingStage(Stage):
 
 
 def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN before seeding."""
+    """Extend results (1, N) of points seeded in a batch's last frame to the whole batch; NaN before that frame."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan

@@ -6,10 +6,10 @@ from torch import Tensor
 from fingerflow.kernels.tensors.serving import is_recorded
 
 
-def looks(*tensors: Tensor | None) -> bool:
-    """Return True if code may look at the values of `tensors`, to branch on them or derive shapes from them.
+def may_branch(*tensors: Tensor | None) -> bool:
+    """Return whether Python code may read the values of `tensors`, to choose a branch or a shape.
 
-    It may not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
+    It must not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """
     traced = torch.compiler.is_compiling() or is_recorded()
     return not traced and all(one is None or (type(one) is Tensor and one.is_cpu) for one in tensors)

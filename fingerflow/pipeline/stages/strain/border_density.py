@@ -1,4 +1,4 @@
-"""Uncertainty of the strain energy that comes from the uncertain position of the contact border.
+"""Strain energy density along the border of the contact.
 
 Strain since the onset is largest along the border of a growing contact, where skin that has moved lies beside skin that
 has just come into contact. A border that is displaced all around changes the onset of the outermost points and the set
@@ -8,17 +8,15 @@ of triangles that count.
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import Border
 
 Values = NDArray[np.floating]
 
 
-def border_energy(
+def border_density(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """Return the energy per depth (n,), mJ/mm, in a strip along the contact border, as wide as the border is uncertain.
-
-    The strip has the mean energy density of the triangles within `reach_mm` of the border; 0 where there are none.
+    """Return the mean energy density (n,), mJ/mm^3, of the triangles along the contact border; 0 where there are none.
 
     Args:
         density: (n, M) mJ/mm^3, NaN for triangles that do not count.
@@ -30,8 +28,5 @@ def border_energy(
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(places) < reach_mm) & np.isfinite(density), areas, 0.0)
         mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
-    # Ramanujan (1914) for the perimeter.
-    sums, turned = border.semi_axes.sum(1), border.semi_axes[:, ::-1]
-    perimeter = np.pi * (3 * sums - np.sqrt((3 * border.semi_axes + turned).prod(1)))
-    result: NDArray[np.float64] = np.nan_to_num(BORDER_MM * perimeter * mean)
+    result: NDArray[np.float64] = np.nan_to_num(mean)
     return result

@@ -1,0 +1,20 @@
+"""Captions of figures."""
+
+from weakref import WeakKeyDictionary
+
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure, SubFigure
+
+_CAPTIONS: WeakKeyDictionary[Artist, str] = WeakKeyDictionary()
+
+
+def describe(artist: Artist, caption: str) -> None:
+    """Attach a caption to axes or to a figure: what is drawn, what bands mean, and the number of observations."""
+    _CAPTIONS[artist] = caption
+
+
+def caption_of(figure: Figure | SubFigure) -> str:
+    """Return the caption of a figure, else those of its axes one after the other; empty if it has none."""
+    if figure in _CAPTIONS:
+        return _CAPTIONS[figure]
+    return " ".join(_CAPTIONS[axes] for axes in figure.axes if axes in _CAPTIONS)

@@ -1,0 +1,143 @@
+"""Writing of figures to files: format, printed width, type, and a caption beside them."""
+
+import re
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from fingerflow.errors import FingerflowError
+from fingerflow.plot.axes_style import FONT, MM_PER_INCH
+from fingerflow.plot.captions import caption_of
+from fingerflow.results.atomic_write import MARK, is_marked, keep_others, write_atomically
+
+FORMATS = ("pdf", "svg", "png")
+_DPI = 300  # of PNG files, and of pictures and maps in the others
+_LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|in)")
+_MM = {"mm": 1.0, "cm": 10.0, "in": MM_PER_INCH}
+_LEAST_MM, _MOST_MM = 60.0, 400.0
+_CLAUSE_END = re.compile(r"(?<=,) (?![^(]*\))")  # lines are broken there first
+_MOST_RUNS = 5  # of the layout
+_LINES = 100  # characters of a line of a caption file
+# Text of PDF and SVG files stays text: editable, searchable, and drawn by fonts instead of outlines.
+_TYPE: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
+_METADATA = {
+    "png": {"Comment": MARK},
+    "pdf": {"Keywords": MARK, "CreationDate": None},
+    "svg": {"Creator": MARK, "Date": None},
+}
+
+
+@dataclass(frozen=True)
+class FigureFiles:
+    """Formats in which figures are written, and their width on paper (mm); None leaves the width to each figure."""
+
+    formats: tuple[str, ...] = ("png",)
+    width_mm: float | None = None
+
+    @classmethod
+    def of(cls, formats: str, width: str | None = None) -> "FigureFiles":
+        """Read formats as "pdf,svg" and a width as "85mm", "8.5cm" or "3.3in".
+
+        Raises:
+            FingerflowError: an unknown format, or a width without unit or outside of 60 to 400 mm.
+        """
+        names = tuple(dict.fromkeys(name.strip().lower() for name in formats.split(",")))
+        if strange := [name for name in names if name not in FORMATS]:
+            raise FingerflowError(
+                f"--format {formats}: {strange[0]!r} is none; give one or more of {', '.join(FORMATS)}, with commas "
+                "between them"
+            )
+        if width is None:
+            return cls(names)
+        found = _LENGTH.fullmatch(width.strip().lower())
+        if found is None:
+            raise FingerflowError(f"--width {width}: give a number and its unit: mm, cm or in, such as 85mm")
+        wide = float(found[1]) * _MM[found[2]]
+        if not _LEAST_MM <= wide <= _MOST_MM:
+            raise FingerflowError(
+                f"--width {width}: give {_LEAST_MM:g} to {_MOST_MM:g} mm, as type of 7 pt leaves no room for curves on "
+                "less; one column of a journal has about 85mm, two have 180mm"
+            )
+        return cls(names, wide)
+
+    def paths(self, folder: Path, name: str) -> list[Path]:
+        """Return the files of a figure: one a format, and the caption."""
+        return [folder / f"{name}.{suffix}" for suffix in (*self.formats, "txt")]
+
+    def keep_others(self, folder: Path, name: str, overwrite: bool) -> None:
+        """Raise FingerflowError if writing a figure would, without ``overwrite``, replace a file that is no figure."""
+        for path in self.paths(folder, name):
+            keep_others(path, is_marked, overwrite)
+
+    def save(self, figure: Figure, folder: Path, name: str) -> Path:
+        """Write a figure in each format, and its caption as text; return the path of the first.
+
+        Raises FingerflowError if a file cannot be written.
+        """
+        settle(figure)
+        *pictures, caption = self.paths(folder, name)
+        for path, suffix in zip(pictures, self.formats, strict=True):
+            _write(figure, path, suffix, name)
+        lines = [textwrap.fill(line, _LINES) for line in (*caption_of(figure).splitlines(), f"({MARK})")]
+        write_atomically(caption, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+        return pictures[0]
+
+
+PNG = FigureFiles()  #: each figure as PNG, in its own width
+
+
+def settle(figure: Figure) -> None:
+    """Break titles and labels that are longer than their axes into lines, and lay the figure out once and for all."""
+    layout = figure.get_layout_engine()
+    if layout is None:
+        return
+    with mpl.rc_context({"font.family": [FONT]}):
+        # Maps need a second run, as their axes have another shape after the first. Axes are smaller beside labels of
+        # several lines, which may then need more of them.
+        again = any(axes.get_aspect() != "auto" for axes in figure.axes)
+        for run in range(_MOST_RUNS):
+            layout.execute(figure)
+            if not _break_long_texts(figure) and run >= again:
+                break
+    figure.set_layout_engine("none")
+
+
+def _write(figure: Figure, path: Path, suffix: str, name: str) -> None:
+    with mpl.rc_context({**_TYPE, "svg.hashsalt": name}):
+        write_atomically(path, lambda part: figure.savefig(part, format=suffix, dpi=_DPI, metadata=_METADATA[suffix]))
+
+
+def _break_long_texts(figure: Figure) -> bool:
+    """Break texts that are longer than the side of the axes along which they run; return whether any was."""
+    broken = False
+    for axes in figure.axes:
+        box = axes.get_window_extent()
+        for text, room in ((axes.title, box.width), (axes.xaxis.label, box.width)):
+            broken |= _broken(text, room)
+        broken |= _broken(axes.yaxis.label, box.height, upright=True)
+    return broken
+
+
+def _broken(text: Text, room: float, upright: bool = False) -> bool:
+    said = text.get_text()
+    if not said:
+        return False
+    extent = text.get_window_extent()
+    length = extent.height if upright else extent.width
+    longest = max(map(len, said.split("\n")))
+    if length <= room or longest < 2:
+        return False
+    width = max(int(longest * room / length), 8)
+    lines = [""]
+    for clause in _CLAUSE_END.split(said.replace("\n", " ")):
+        if lines[-1] and len(lines[-1]) + 1 + len(clause) <= width:
+            lines[-1] += f" {clause}"
+        else:
+            lines += textwrap.wrap(clause, width, break_long_words=False, break_on_hyphens=False)
+    text.set_text("\n".join(lines[1:]))
+    return True

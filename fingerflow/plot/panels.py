@@ -1,0 +1,50 @@
+"""Panels of a figure: their letters, and how they are arranged at a printed width."""
+
+import string
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.figure import Figure, SubFigure
+
+from fingerflow.plot.axes_style import new_figure
+from fingerflow.plot.captions import caption_of
+
+_BESIDE_MM = 50.0  # least width of a panel: below, a row becomes a column
+
+
+def panel_letter(number: int) -> str:
+    """Return the letter of a panel, counted from 0: A to Z, then AA, AB and so on.
+
+    >>> [panel_letter(number) for number in (0, 25, 26, 27)]
+    ['A', 'Z', 'AA', 'AB']
+    """
+    letters = string.ascii_uppercase
+    before = panel_letter(number // len(letters) - 1) if number >= len(letters) else ""
+    return before + letters[number % len(letters)]
+
+
+def row_of_panels(count: int, width_mm: float, height: float = 1.05) -> tuple[Figure, Sequence[SubFigure]]:
+    """Return a figure and its lettered panels, in a row, or in a column where a row has less than 50 mm for each.
+
+    Args:
+        count: of panels.
+        width_mm: of the figure, as set by `figure_style`.
+        height: of a panel in a row, as a share of its width.
+    """
+    row = width_mm >= count * _BESIDE_MM
+    figure = new_figure(height / count if row else 0.75 * count)
+    parts: Any = figure.subfigures(1, count) if row else figure.subfigures(count, 1)
+    for number, part in enumerate(parts):
+        letter_panel(part, number)
+    return figure, list(parts)
+
+
+def letter_panel(part: SubFigure, number: int) -> None:
+    """Write the letter of a panel, counted from 0, into its upper left corner."""
+    part.suptitle(panel_letter(number), x=0.01, ha="left", fontweight="bold")
+
+
+def captions_of(parts: Sequence[SubFigure], named: Sequence[str] = ()) -> list[str]:
+    """Return a line for each panel: its letter, its name where there are names, and its caption."""
+    names = [f" ({name})" if name else "" for name in named] or [""] * len(parts)
+    return [f"{panel_letter(k)}{names[k]}. {caption_of(part)}" for k, part in enumerate(parts)]

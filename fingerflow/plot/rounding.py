@@ -1,0 +1,41 @@
+"""Numbers as text, rounded to their deviation."""
+
+import math
+
+_NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmetic
+
+
+def with_uncertainty(value: float, spread: float = math.nan) -> str:
+    """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
+
+    >>> with_uncertainty(33.4123, 0.5178)
+    '33.41 ± 0.52'
+    """
+    if not math.isfinite(value):
+        return "–"
+    if not math.isfinite(spread) or spread <= _NOTHING * abs(value):
+        return _rounded(value, _decimals(abs(value), 3) if value else 0)
+    digits = _decimals(spread, 2)
+    return f"{_rounded(value, digits)} ± {_rounded(spread, digits)}"
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """Return "value (low to high)", rounded to two digits of half the interval; the value alone without an interval.
+
+    >>> with_interval(0.8312, 0.7344, 0.9018)
+    '0.831 (0.734 to 0.902)'
+    """
+    half = (high - low) / 2
+    if not math.isfinite(value) or not math.isfinite(half) or half <= 0:
+        return with_uncertainty(value)
+    digits = _decimals(half, 2)
+    return f"{_rounded(value, digits)} ({_rounded(low, digits)} to {_rounded(high, digits)})"
+
+
+def _decimals(size: float, digits: int) -> int:
+    """Return the decimals that show a positive number with some significant digits, after it is rounded to them."""
+    return digits - 1 - int(f"{size:.{digits - 1}e}".partition("e")[2])
+
+
+def _rounded(value: float, decimals: int) -> str:
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"

@@ -1,0 +1,48 @@
+"""HTTP connections of a server, limited in number and in the time of a request."""
+
+import asyncio
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+_CONNECTIONS = 100  # at once; a browser opens six
+_REQUEST = 10.0  # s for a whole request, however slowly its bytes come
+
+
+class Connection(H11Protocol):
+    """Connection that is closed if there are too many, or if a request is not complete in time.
+
+    uvicorn itself waits without end for the rest of a request. Any user of this computer can open connections; only
+    complete requests are checked for the token.
+    """
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Accept a connection; close it at once if there are too many."""
+        super().connection_made(transport)
+        if len(self.connections) > _CONNECTIONS:
+            transport.abort()
+        else:
+            self._wait_for_request()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of a request, and start or stop the time limit."""
+        super().data_received(data)
+        self._wait_for_request()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the time limit of a closed connection."""
+        super().connection_lost(exc)
+        self._stop_waiting()
+
+    def _wait_for_request(self) -> None:
+        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+            self._stop_waiting()
+        elif self._deadline is None:
+            self._deadline = self.loop.call_later(_REQUEST, self.transport.abort)
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None

@@ -1,0 +1,113 @@
+"""Strain energy of the whole contact: the simulated press's formulas, exact and with the errors that are stated."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from bench.suites.stated import other_presses
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergy, Solid, perimeter
+from fingerflow.synthetic import Press
+from fingerflow.tracker.contact_border import BORDER_MM, Border
+
+PRESS = Press(n_frames=60, frame_rate=60.0)
+TWICE = other_presses()["twice the deformation"]
+WINDOW_MM, SPACING_MM, DRAWS = 0.8, 0.33, 100
+Array = NDArray[np.float64]
+
+
+class Contact(NamedTuple):
+    """A frame of a press: its border, N points with their displacement, and the energy per mm of depth."""
+
+    border: Border
+    position: Array
+    displacement: Array
+    energy: float
+
+
+def contact_of(press: Press, frame: int, measure: str = "green_lagrange") -> Contact:
+    """Gauss's quadrature of the density by formulas, in rings: 1e-4 of it with half as many."""
+    ellipse = press.truth.ellipse(frame)
+    assert ellipse is not None
+    nodes, shares = np.polynomial.legendre.leggauss(24)
+    turns = 2 * np.pi * np.arange(48) / 48
+    disc = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+    cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
+    onto = np.array(ellipse.semi_axes)[:, None] * np.array([[cosine, sine], [-sine, cosine]])
+    gradient = press.truth.gradient(press.truth.material(disc.reshape(-1, 2) @ onto + ellipse.centre, frame), frame)
+    density = strain_energy_density(green_lagrange(torch.from_numpy(gradient), measure)).numpy()
+    each = (density / np.linalg.det(np.eye(2) + gradient)).reshape(disc.shape[:2])
+    axis = np.arange(-7, 7, SPACING_MM)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    grid = grid + 0.1 * np.random.default_rng(3).uniform(-1, 1, grid.shape) + ellipse.centre
+    position = grid[(ellipse.distance(*torch.from_numpy(grid).unbind(-1)) > 0.1).numpy()]
+    border = Border(*(np.array([one]) for one in (ellipse.centre, ellipse.semi_axes, ellipse.angle)))
+    displacement = press.truth.displacement(press.truth.material(position, frame), frame)
+    return Contact(border, position, displacement, float(ellipse.area * (shares / 2 @ each.mean(1))))
+
+
+def measured(
+    contact: Contact, displacement: Array, std_mm: float, shared: Array | None = None, measure: str = "green_lagrange"
+) -> FrameEnergy:
+    """The energy by displacements with this deviation, which correlate as in `shared` (N, N)."""
+    points = len(contact.position)
+    pairs = np.argwhere(np.triu(np.zeros((points, points)) if shared is None else shared, 1) > 0)
+    correlation = np.zeros(0) if shared is None else shared[tuple(pairs.T)]
+    whole = ContactEnergy(Solid(measure, 1.0, 0.4), pairs, correlation, points)
+    counts = np.ones((1, points), dtype=bool)
+    variance = np.full((1, points), std_mm**2)
+    return next(whole.of_frames(contact.position[None], displacement[None], variance, counts, contact.border))
+
+
+@pytest.mark.parametrize("measure", ["green_lagrange", "infinitesimal"])
+@pytest.mark.parametrize(("press", "frame"), [(PRESS, 18), (PRESS, 40), (TWICE, 40), (TWICE, 58)])
+def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -> None:
+    """Half a percent: polynomials of degree 10 for a field with Gaussian bumps, and strains of 12 and 24 %.
+
+    No point lies within 0.1 mm of the border; the skin there has 25 to 50 % of the energy."""
+    contact = contact_of(press, frame, measure)
+    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(
+        contact.energy, rel=5e-3
+    )
+
+
+@pytest.mark.parametrize("frame", [20, 30, 50])
+def test_deviation_is_true_by_coverage(frame: int) -> None:
+    """Errors of points that correlate as windows overlap, of the border's place, and common to all points. 68 and 95 %
+    of the draws are within one and two deviations, give or take three standard deviations of such a share; the border
+    is varied by both of its axes alike."""
+    contact, random = contact_of(PRESS, frame), np.random.default_rng(frame)
+    apart = [cdist(one, one) / WINDOW_MM for one in np.split(contact.position, 2, axis=1)]
+    shared = np.clip(1 - apart[0], 0, 1) * np.clip(1 - apart[1], 0, 1)
+    root = np.linalg.cholesky(shared + 1e-9 * np.eye(len(shared)))
+    deviation, step = 7e-4, BORDER_MM * np.sqrt(2 / perimeter(contact.border.semi_axes)[0])
+    size = np.sqrt(np.mean(contact.displacement**2))
+    z, ratios = [], []
+    for _ in range(DRAWS):
+        noise = deviation * root @ random.standard_normal(contact.displacement.shape)
+        moved = contact.displacement * (1 + 4e-4 / size * random.standard_normal()) + noise
+        border = contact.border._replace(semi_axes=contact.border.semi_axes + step * random.standard_normal())
+        found = measured(contact._replace(border=border), moved, deviation, shared)
+        z.append((found.energy - contact.energy) / found.deviation)
+        ratios.append(found.energy / contact.energy)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.04)
+    assert 0.58 < np.mean(np.abs(z) < 1) < 0.80
+    assert 0.90 < np.mean(np.abs(z) < 2) <= 1.0
+
+
+def test_a_contact_that_slips_has_no_field_that_vanishes_at_its_border() -> None:
+    """By 0.1 mm as a whole: such a field would have seven times the energy."""
+    contact = contact_of(PRESS, 40)
+    assert np.isfinite(measured(contact, contact.displacement, 1e-3)).all()
+    assert np.isnan(measured(contact, contact.displacement + np.array([0.1, 0.0]), 1e-3)).all()
+
+
+def test_nothing_is_known_without_points_or_border() -> None:
+    contact = contact_of(PRESS, 30)
+    assert np.isnan(measured(contact, contact.displacement * np.nan, 1e-3)).all()
+    unknown = contact._replace(border=contact.border._replace(semi_axes=np.full((1, 2), np.nan)))
+    assert np.isnan(measured(unknown, contact.displacement, 1e-3)).all()
