@@ -57,7 +57,7 @@ from fingerflow.models.partial_slip import critical_stuck_area, judge_trial
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
 from fingerflow.synthetic import Camera, RidgeTexture
 
-SEEDS = range(100, 107)
+SEEDS = range(204, 211)  # not those that constants of the pipeline were chosen on, 100 to 105 and 200 to 203
 CURVES = ("model", "line")
 _ORDER = ("wrong", "none", "right")
 _NEAR = 0.02  # of d^2
