@@ -1,7 +1,5 @@
 """Simulated recordings on disk, and what `process` makes of them."""
 
-import contextlib
-import io
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,8 +22,7 @@ QUICK_PRESS = Press(
 
 def write_quietly(folder: Path, scene: SyntheticScene) -> None:
     """Write a recording without a progress bar between the tables."""
-    with contextlib.redirect_stderr(io.StringIO()):
-        write_recording(folder, scene)
+    write_recording(folder, scene, progress=False)
 
 
 def processed(scene: SyntheticScene, outputs: Iterable[str] | None = None) -> xr.Dataset:

@@ -2,7 +2,7 @@
 // Apparent (gross) contact region of a mask, on cells of `side` px (fingerflow/ops/contact/apparent_contact.py).
 // The density of a cell is the share of its pixels that are set, smoothed by three box means of 2 radius + 1 px along
 // each axis. A cell belongs to the region with part = clamp((density - limit) / |grad density| + 1/2, 0, 1); `limit` is
-// iterated from the share of set pixels within the region. The density margin is density - limit at the component,
+// iterated from the shares of set pixels in two bands inside the region's border. The density margin is density - limit at the component,
 // +limit in its holes, -limit elsewhere; area, centre and semi-axes follow from the moments of the parts.
 // Layout: a CellPlane of floats has one value a cell, one cell a lane, row after row, with a margin of zeros on all sides
 // and rows that begin at whole vectors, over which loops run. All planes of one frame lie in the thread's workspace, so
@@ -33,7 +33,7 @@ struct CellPlane {
 constexpr std::int64_t kCellLanes = 16;  // floats of the longest vector
 constexpr std::int64_t kCellBlock = 8;   // cells a side of a block of the flood fill
 
-// Sums over cells: parts inside the region, and set pixels of the mask in cells that lie at least partly inside.
+// Weighted sums over cells: parts inside the region, and set pixels of the mask in them.
 struct CellShare {
     double parts, covered;
 };
@@ -201,19 +201,85 @@ void inverse_slopes(const CellPlane& plane, const float* density, float* inverse
     }
 }
 
-CellShare share_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float limit) {
+// `each` is the share of a cell that a pixel fills.
+CellShare share_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float each, float limit) {
     Sum parts, covered;
     for (std::int64_t y = 0; y < plane.height; ++y) {
         for (std::int64_t x = 0; x < plane.width; x += kFloats) {
             const std::int64_t at = y * plane.pitch + x;
             const Floats part = part_of(load(density + at), load(inverse + at), limit);
             parts.add(part);
-            covered.add(is_positive(part) * load(counts + at));
+            covered.add(lesser(load(counts + at) * each, part));
         }
         parts.row(y);
         covered.row(y);
     }
     return {parts.total(), covered.total()};
+}
+
+// The same with the weights of two bands.
+void shares_above(const CellPlane& plane, const float* density, const float* inverse, const float* counts, float each,
+                  const float* narrow, const float* wide, float limit, CellShare* near, CellShare* far) {
+    Sum near_parts, near_covered, far_parts, far_covered;
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        for (std::int64_t x = 0; x < plane.width; x += kFloats) {
+            const std::int64_t at = y * plane.pitch + x;
+            const Floats part = part_of(load(density + at), load(inverse + at), limit), covered = lesser(load(counts + at) * each, part);
+            const Floats first = load(narrow + at), second = load(wide + at);
+            near_parts.add(part * first);
+            near_covered.add(covered * first);
+            far_parts.add(part * second);
+            far_covered.add(covered * second);
+        }
+        for (Sum* const sum : {&near_parts, &near_covered, &far_parts, &far_covered}) sum->row(y);
+    }
+    *near = {near_parts.total(), near_covered.total()};
+    *far = {far_parts.total(), far_covered.total()};
+}
+
+// Writes part (1 - part) of a row where some of the 3 x 3 cells lie in the filled region and others do not; cells beyond
+// the plane count as their neighbours. `line` has space for two rows with margins.
+void border_row(const CellPlane& plane, std::int64_t y, const float* density, const float* inverse, const float* filled, float limit,
+                float* FINGERFLOW_RESTRICT line, float* FINGERFLOW_RESTRICT border) {
+    const std::int64_t width = plane.width;
+    const float *FINGERFLOW_RESTRICT full = filled + y * plane.pitch, *FINGERFLOW_RESTRICT above = y > 0 ? full - plane.pitch : full;
+    const float* FINGERFLOW_RESTRICT below = y + 1 < plane.height ? full + plane.pitch : full;
+    float* FINGERFLOW_RESTRICT const counts = line;
+    for (std::int64_t x = 0; x < width; ++x) counts[x] = above[x] + full[x] + below[x];
+    counts[-1] = counts[0];
+    counts[width] = counts[width - 1];
+    for (std::int64_t x = 0; x < width; ++x) {
+        const float count = counts[x - 1] + counts[x] + counts[x + 1];
+        float part = (density[y * plane.pitch + x] - limit) * inverse[y * plane.pitch + x] + 0.5f;
+        part = part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part;
+        border[x] = (count > 0.0f) & (count < 9.0f) ? part * (1.0f - part) : 0.0f;
+    }
+    for (std::int64_t x = width; x < whole(plane); ++x) border[x] = 0.0f;
+}
+
+// Writes the means of cells over blocks of 2 x 2; cells beyond the plane are 0.
+void halve_cells(const CellPlane& plane, const float* cells, const CellPlane& blocks, float* means) {
+    for (std::int64_t row = 0; row < blocks.height; ++row) {
+        const float* FINGERFLOW_RESTRICT const upper = cells + 2 * row * plane.pitch;
+        const float* FINGERFLOW_RESTRICT const lower = 2 * row + 1 < plane.height ? upper + plane.pitch : nullptr;
+        float* FINGERFLOW_RESTRICT const to = means + row * blocks.pitch;
+        for (std::int64_t x = 0; x < blocks.width; ++x) to[x] = (upper[2 * x] + upper[2 * x + 1]) * 0.25f;
+        if (lower != nullptr)
+            for (std::int64_t x = 0; x < blocks.width; ++x) to[x] += (lower[2 * x] + lower[2 * x + 1]) * 0.25f;
+    }
+}
+
+// Writes the value of each block of 2 x 2 cells to its cells.
+void spread_blocks(const CellPlane& blocks, const float* values, const CellPlane& plane, float* cells) {
+    for (std::int64_t y = 0; y < plane.height; ++y) {
+        const float* FINGERFLOW_RESTRICT const from = values + y / 2 * blocks.pitch;
+        float* FINGERFLOW_RESTRICT const to = cells + y * plane.pitch;
+        for (std::int64_t x = 0; x < blocks.width; ++x) {
+            to[2 * x] = from[x];
+            to[2 * x + 1] = from[x];
+        }
+        for (std::int64_t x = plane.width; x < whole(plane); ++x) to[x] = 0.0f;
+    }
 }
 
 // Writes the part of each cell inside the region.
@@ -225,14 +291,13 @@ void parts_above(const CellPlane& plane, const float* density, const float* inve
         }
 }
 
-BorderLevel border_level(const CellPlane& plane, const float* density, const float* inverse, const float* own, float limit) {
+BorderLevel border_level(const CellPlane& plane, const float* own, const float* border) {
     Sum sums, weights;
     for (std::int64_t y = 0; y < plane.height; ++y) {
         for (std::int64_t x = 0; x < plane.width; x += kFloats) {
-            const std::int64_t at = y * plane.pitch + x;
-            const Floats part = part_of(load(density + at), load(inverse + at), limit), weight = part * (1.0f - part);
+            const Floats weight = load(border + y * plane.pitch + x);
             weights.add(weight);
-            sums.add(weight * load(own + at));
+            sums.add(weight * load(own + y * plane.pitch + x));
         }
         weights.row(y);
         sums.row(y);
@@ -334,6 +399,10 @@ FINGERFLOW_OTHER_SETS(scale_cells)
 FINGERFLOW_OTHER_SETS(smooth_cells)
 FINGERFLOW_OTHER_SETS(inverse_slopes)
 FINGERFLOW_OTHER_SETS(share_above)
+FINGERFLOW_OTHER_SETS(shares_above)
+FINGERFLOW_OTHER_SETS(border_row)
+FINGERFLOW_OTHER_SETS(halve_cells)
+FINGERFLOW_OTHER_SETS(spread_blocks)
 FINGERFLOW_OTHER_SETS(parts_above)
 FINGERFLOW_OTHER_SETS(border_level)
 FINGERFLOW_OTHER_SETS(densest_of_blocks)
@@ -344,7 +413,9 @@ FINGERFLOW_OTHER_SETS(row_moments)
 namespace {
 
 constexpr float kLeastShare = 0.2f, kLeastLevel = 0.25f;
-constexpr int kFirstRounds = 2, kRounds = 3;
+constexpr int kFirstRounds = 2, kBorders = 2, kRounds = 4;
+constexpr float kNarrow = 1.5f, kWide = 3.0f;  // widths of the bands inside the border, in widths of the boxes
+constexpr float kThinning = 0.6f, kSolid = 0.9f;
 
 float clamped(float value, float low, float high) { return std::min(std::max(value, low), high); }
 
@@ -353,18 +424,29 @@ public:
     Finder(const fingerflow_apparent_contacts& given, std::int64_t frame)
         : given_(given), mask_(given.masks + frame * given.height * given.width),
           margin_(given.density_margin + frame * cells_of(given.height, given.side) * cells_of(given.width, given.side)),
-          numbers_(given.numbers + 7 * frame), width_(static_cast<float>(2 * given.radius + 1) / static_cast<float>(given.side)) {
+          numbers_(given.numbers + 7 * frame), width_(static_cast<float>(2 * given.radius + 1) / static_cast<float>(given.side)),
+          each_(1.0f / static_cast<float>(given.side * given.side)) {
         plane_.height = cells_of(given.height, given.side);
         plane_.width = cells_of(given.width, given.side);
-        plane_.margin = static_cast<std::int64_t>(width_ / 2) + 3;
-        left_ = whole(plane_.margin);
-        plane_.pitch = left_ + whole(plane_.width) + whole(plane_.margin);
+        left_ = lay_out(plane_, width_);
+        blocks_.height = cells_of(plane_.height, 2);
+        blocks_.width = cells_of(plane_.width, 2);
+        blocks_left_ = lay_out(blocks_, kWide * width_ / 2);
+        outline_floats_ = 2 * plane_.pitch + 2 * whole(plane_.height);
+    }
+
+    // Sets margin and pitch of a plane that is smoothed by boxes of a width; returns the floats before a row's first cell.
+    static std::int64_t lay_out(CellPlane& plane, float width) {
+        plane.margin = static_cast<std::int64_t>(width / 2) + 3;
+        plane.pitch = 2 * whole(plane.margin) + whole(plane.width);
+        return whole(plane.margin);
     }
 
     void find() {
         const std::int64_t all = (plane_.height + 2 * plane_.margin) * plane_.pitch, line = (given_.width + 127) / 64 * 64;
-        const std::int64_t outline = 2 * plane_.pitch + 2 * whole(plane_.height);
-        auto* const memory = static_cast<unsigned char*>(workspace(static_cast<std::size_t>(line + 4 * (6 * all + outline + 2 * plane_.pitch))));
+        const std::int64_t outline = outline_floats_, few = (blocks_.height + 2 * blocks_.margin) * blocks_.pitch;
+        auto* const memory =
+            static_cast<unsigned char*>(workspace(static_cast<std::size_t>(line + 4 * (8 * all + 2 * few + outline + 2 * plane_.pitch))));
         const std::int64_t origin = plane_.margin * plane_.pitch + left_;
         auto* const planes = reinterpret_cast<float*>(memory + line);
         // These planes and the lines are zero in their margins and wherever nothing is written.
@@ -374,25 +456,41 @@ public:
         filled_ = planes + 3 * all + origin;
         float* const numbers = planes + 4 * all;
         outline_ = {numbers, numbers + plane_.pitch, numbers + 2 * plane_.pitch, numbers + 2 * plane_.pitch + whole(plane_.height)};
-        std::memset(planes, 0, static_cast<std::size_t>(4 * (4 * all + outline + 2 * plane_.pitch)));
+        std::memset(planes, 0, static_cast<std::size_t>(4 * (4 * all + outline + 2 * plane_.pitch + 2 * few)));
         line_ = numbers + outline + left_;
         among_ = numbers + outline + plane_.pitch;
-        counts_ = among_ + plane_.pitch + origin;
+        block_means_ = among_ + plane_.pitch + blocks_.margin * blocks_.pitch + blocks_left_;
+        other_blocks_ = block_means_ + few;
+        counts_ = among_ + plane_.pitch + 2 * few + origin;
         inverse_ = counts_ + all;
+        narrow_ = inverse_ + all;
+        wide_ = narrow_ + all;
 
         FINGERFLOW_PICK(count_cells)(mask_, given_.height, given_.width, static_cast<int>(given_.side), plane_, memory, counts_);
-        const float each = 1.0f / static_cast<float>(given_.side * given_.side);
-        const double covered = FINGERFLOW_PICK(scale_cells)(plane_, counts_, each, density_);
+        const double covered = FINGERFLOW_PICK(scale_cells)(plane_, counts_, each_, density_);
         const auto smooth = FINGERFLOW_PICK(smooth_cells);
         smooth(plane_, width_, density_, other_);
         FINGERFLOW_PICK(inverse_slopes)(plane_, density_, inverse_);
-        float limit = 0.25f;
-        for (int round = 0; round < kFirstRounds; ++round) limit = share_above(limit) / 2;
-        FINGERFLOW_PICK(parts_above)(plane_, density_, inverse_, limit, own_);
-        smooth(plane_, width_, own_, other_);
-        const BorderLevel border = FINGERFLOW_PICK(border_level)(plane_, density_, inverse_, own_, limit);
-        const float level = clamped(static_cast<float>(border.density / std::max(border.weight, 1e-3)), kLeastLevel, 0.5f);
-        for (int round = 0; round < kRounds; ++round) limit = share_above(limit) * level;
+        float limit = 0.25f, inner = 1;
+        for (int round = 0; round < kFirstRounds; ++round) {
+            inner = share_above(limit);
+            limit = inner / 2;
+        }
+        for (int border = 0; border < kBorders; ++border) {
+            const float level = level_of(limit);
+            if (inner > kSolid) {
+                for (int round = 0; round < kRounds; ++round) limit = share_above(limit) * level;
+                continue;
+            }
+            band(kNarrow, narrow_);
+            band(kWide, wide_);
+            const auto shares_above = FINGERFLOW_PICK(shares_above);
+            for (int round = 0; round < kRounds; ++round) {
+                CellShare near, far;
+                shares_above(plane_, density_, inverse_, counts_, each_, narrow_, wide_, limit, &near, &far);
+                limit = clamped(share_of(near) * std::pow(share_of(near) / share_of(far), kThinning), kLeastShare, 1.0f) * level;
+            }
+        }
         fill(limit);
         const float* const coverage = cover(limit);
         measure(coverage, covered);
@@ -403,10 +501,32 @@ public:
     static std::int64_t cells_of(std::int64_t pixels, std::int64_t side) { return (pixels + side - 1) / side; }
 
 private:
+    static float share_of(const CellShare& share) {
+        return clamped(static_cast<float>(share.covered / std::max(share.parts, 1e-3)), kLeastShare, 1.0f);
+    }
+
     float share_above(float limit) const {
-        const CellShare share = FINGERFLOW_PICK(share_above)(plane_, density_, inverse_, counts_, limit);
-        const double pixels = static_cast<double>(given_.side * given_.side) * std::max(share.parts, 1.0);
-        return clamped(static_cast<float>(share.covered / pixels), kLeastShare, 1.0f);
+        return share_of(FINGERFLOW_PICK(share_above)(plane_, density_, inverse_, counts_, each_, limit));
+    }
+
+    // Finds the outer border, left in wide_, and returns the value there of the region itself, smoothed: below one half
+    // where the border is convex.
+    float level_of(float limit) {
+        fill(limit);
+        const auto border_row = FINGERFLOW_PICK(border_row);
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            border_row(plane_, y, density_, inverse_, filled_, limit, line_, wide_ + y * plane_.pitch);
+        FINGERFLOW_PICK(parts_above)(plane_, density_, inverse_, limit, own_);
+        FINGERFLOW_PICK(smooth_cells)(plane_, width_, own_, other_);
+        const BorderLevel border = FINGERFLOW_PICK(border_level)(plane_, own_, wide_);
+        return clamped(static_cast<float>(border.density / std::max(border.weight, 1e-3)), kLeastLevel, 0.5f);
+    }
+
+    // Writes weights that fall off from the border in wide_, over boxes of `boxes` widths.
+    void band(float boxes, float* weights) {
+        FINGERFLOW_PICK(halve_cells)(plane_, wide_, blocks_, block_means_);
+        FINGERFLOW_PICK(smooth_cells)(blocks_, std::max(boxes * width_ / 2, 1.0f), block_means_, other_blocks_);
+        FINGERFLOW_PICK(spread_blocks)(blocks_, block_means_, plane_, weights);
     }
 
     // Finds the component around the densest cell, by flood fill over blocks of cells, and fills its outline.
@@ -434,6 +554,8 @@ private:
                     }
             edge.swap(next);
         }
+        std::memset(outline_.down, 0, static_cast<std::size_t>(4 * outline_floats_));
+        std::memset(filled_, 0, static_cast<std::size_t>(4 * plane_.height * plane_.pitch));
         const auto extend = FINGERFLOW_PICK(extend_outline);
         for (std::int64_t y = 0; y < plane_.height; ++y) {
             if (y % kCellBlock == 0)
@@ -486,10 +608,11 @@ private:
     const fingerflow_apparent_contacts& given_;
     const unsigned char* mask_;
     float *margin_, *numbers_;
-    const float width_;
-    CellPlane plane_;
-    std::int64_t left_;  // floats before the first cell of a row
-    float *density_, *own_, *other_, *filled_, *counts_, *inverse_, *line_, *among_;
+    const float width_, each_;
+    CellPlane plane_, blocks_;          // of cells, and of blocks of 2 x 2 cells
+    std::int64_t left_, blocks_left_;  // floats before the first cell of a row
+    std::int64_t outline_floats_;
+    float *density_, *own_, *other_, *filled_, *counts_, *inverse_, *line_, *among_, *block_means_, *other_blocks_, *narrow_, *wide_;
     Outline outline_;
 };
 

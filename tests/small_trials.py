@@ -205,6 +205,12 @@ def dim_contact(frame: Frame) -> Frame:
     return np.concatenate([frame[:, :middle], (0.7 * frame[:, middle:]).astype(frame.dtype)], axis=1)
 
 
+def other_noise(frame: Frame, seed: int) -> Frame:
+    """The frame with another last bit of each pixel, so that it is no copy."""
+    result: Frame = frame ^ np.random.default_rng(seed).integers(0, 2, frame.shape, frame.dtype)
+    return result
+
+
 #: What becomes of a frame (H, W) of 8 bits, and the status that says so.
 SPOILED: dict[str, tuple[Callable[[Frame], Frame], str]] = {
     "black": (lambda frame: np.full_like(frame, 8), "dark"),

@@ -35,6 +35,7 @@ _TABLE = {
     "export": "__init__ engines errors graphs kernels ops schema synthetic tensors tracker",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
+    "reproduce": "__init__ calibration errors models ops plot recordings report results schema study synthetic",
     "view": "__init__ calibration engines errors pipeline player recordings results schema stages",
     "__init__": "pipeline recordings results schema",  # only when one of them is asked for, see below
 }

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from bench.recordings import processed
 from bench.rows import Row
-from fingerflow.report.beside_chain import INNER
-from fingerflow.report.beside_chain import inner_divergence as measured_inner
+from fingerflow.report.chain_comparison import INNER
+from fingerflow.report.chain_comparison import inner_divergence as measured_inner
 from fingerflow.synthetic import ChainPress
 
 FRICTIONS = (0.05, 0.2, 1.0)

@@ -35,7 +35,7 @@ from distributed import LocalCluster
 from bench.recordings import QUICK_PRESS, write_quietly
 from bench.rows import Row, number
 from bench.suites.pipeline import PIPELINES
-from fingerflow.study.cluster import over_workers
+from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
 from fingerflow.study.run_study import plan_run, run_study
@@ -128,7 +128,7 @@ def _empty_tasks(count: int, trial_s: float) -> dict[str, str | float]:
         for many in (count // 10, count):  # what starting takes falls out of the difference
             tasks = ((f"empty-{many}-{one}", one) for one in range(many))
             start = time.process_time()
-            for _ in over_workers(_nothing, tasks, many, _raise, cluster.scheduler_address, progress=False):
+            for _ in run_on_workers(_nothing, tasks, many, _raise, cluster.scheduler_address, progress=False):
                 pass
             spent.append(time.process_time() - start)
     each = (spent[1] - spent[0]) / (count - count // 10)

@@ -1,4 +1,4 @@
-"""Pages that the build of the site writes from the package: outputs, keys of a scene, measurements."""
+"""Pages that the build of the site writes: outputs, keys of a scene, measurements, reproduction of both papers."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,12 +7,14 @@ from typing import Any
 
 from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
+from fingerflow.reproduce.paper_page import read_results
 from fingerflow.schema.key_list import ListedKey, key_list
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE.parent / "bench" / "results"
+REPRODUCED = HERE / "reproduced"
 
 
 def _cell(text: object) -> str:
@@ -134,7 +136,46 @@ def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return pooled or rows
 
 
-PAGES = {"outputs": outputs_page, "keys": keys_page, "measurements": measurements_page}
+def reproduction_page() -> str:
+    """Return the page of printed and obtained results of both papers, from docs/reproduced."""
+    lines = [
+        "# Both papers, printed and obtained",
+        "",
+        "Recordings of both experiments are simulated, with cameras and forces, and measured by an ordinary study:",
+        "",
+        "    fingerflow reproduce folder",
+        "    cp -r folder/page/{slip,press}* docs/reproduced",
+        "",
+        "A number agrees where its interval of 95 % meets the printed interval: a printed deviation, otherwise the "
+        "rounding of the print. Truth is that of the simulation. With `--quick` the study of presses has 4 "
+        "participants, else 16. The command also writes the movies.",
+        "",
+    ]
+    for paper in read_results(REPRODUCED):
+        counts = ", ".join(f"{count} {verdict}" for verdict, count in paper["counts"].items())
+        lines += [f"## {_cell(paper['title'])}", "", _cell(paper["about"]), "", f"{counts}.", ""]
+        columns = ("id", "quantity", "where", "printed", "obtained", "truth", "verdict", "because")
+        lines += _table(columns, ([row[name] for name in columns] for row in paper["rows"]))
+        for figure in paper["figures"]:
+            lines += [
+                f"### {paper['title'][0]}, {_cell(figure['name'])}",
+                "",
+                f"In print: {_cell(figure['printed'])}.",
+                "",
+            ]
+            if figure["file"]:
+                alt = f"figure {figure['name']} as obtained"
+                lines += [f"```{{image}} ../reproduced/{paper['paper']}/{figure['file']}", f":alt: {alt}", "```", ""]
+            lines += [line for said in figure["shown"].splitlines() for line in (_cell(said), "")]
+    return "\n".join(lines)
+
+
+PAGES = {
+    "outputs": outputs_page,
+    "keys": keys_page,
+    "measurements": measurements_page,
+    "reproduction": reproduction_page,
+}
 
 
 def write(folder: Path) -> None:

@@ -8,7 +8,17 @@ import threading
 import typer
 
 # Their commands add themselves.
-from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401
+from fingerflow.cli import (  # noqa: F401
+    bundles,
+    preparation,
+    processing,
+    reporting,
+    reproduction,
+    study,
+    synthetic_recordings,
+    tables,
+    viewing,
+)
 from fingerflow.cli.app import INTERRUPTED
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError
@@ -39,7 +49,7 @@ def main() -> None:
 
 
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
-    """Repeat a Ctrl-C in the main thread if it occurred in a callback, where Python discards exceptions."""
+    """Raise KeyboardInterrupt again in the main thread after Python discarded it in a callback."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
         # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
         # which Windows does not have.

@@ -35,19 +35,19 @@ def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options:
 
 
 def figure_files(formats: str | None, width: str | None) -> Any:
-    """Return the `FigureFiles` of the options --format and --width; the import of matplotlib waits until then."""
+    """Return the `FigureFiles` for the options --format and --width; matplotlib is imported only here."""
     from fingerflow.plot.figure_files import FigureFiles
 
     return FigureFiles.of(formats or "png", width)
 
 
 def tell(facts: Any, text: str, as_json: bool) -> None:
-    """Print facts as JSON if requested, else a text for human readers."""
+    """Print data as JSON if requested, else a text for readers."""
     typer.echo(json.dumps(facts, indent=1) if as_json else text)
 
 
 def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
-    """Print facts as JSON if requested, else one fact per line."""
+    """Print data as JSON if requested, else one entry per line."""
     tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 

@@ -39,7 +39,7 @@ def stream(context: typer.Context) -> None:
 
 
 def _forces_of(file: Path) -> "LiveForces | None":
-    """Return the forces of a scene as `process` computes them; log why and return None if they cannot be read."""
+    """Return the forces of a scene as `process` computes them; log the reason and return None if unreadable."""
     from fingerflow.pipeline.run import process
     from fingerflow.player.live_data import LiveForces
     from fingerflow.schema.scene import load_scene

@@ -31,7 +31,7 @@ def report(
     With --format or --width, each figure of the page is also written as a file into the folder figures beside it.
     """
     from fingerflow.report import write_report
-    from fingerflow.report.beside_chain import compare_with_chain
+    from fingerflow.report.chain_comparison import compare_with_chain
     from fingerflow.results.result import load_result
     from fingerflow.schema.scene import load_scene
 

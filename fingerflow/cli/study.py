@@ -106,14 +106,17 @@ def report(
 def simulate(
     folder: Annotated[Path, typer.Argument(help="A new folder.")],
     participants: Annotated[int, typer.Option(min=2, help="Half of them with softer skin.")] = 4,
-    trials: Annotated[int, typer.Option(min=1, help="Of each participant in each condition.")] = 2,
+    trials: Annotated[int, typer.Option(min=1, help="Pairs of presses, of each participant in each condition.")] = 2,
     seed: int = 0,
 ) -> None:
-    """Write small synthetic recordings of a study with known truth, and the answers of a simulated observer."""
-    from fingerflow.study.simulated import Design, write_recordings
+    """Write small synthetic recordings of a study with known truth, and the answers of a simulated observer.
+
+    Each trial is a pair of presses: a reference, and a comparison on glass that vibrates.
+    """
+    from fingerflow.study.simulated import write_recordings
+    from fingerflow.study.simulated_trials import Design
 
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; name another folder")
     write_recordings(folder, Design(participants=participants, trials=trials, seed=seed))
     typer.echo(f"{folder} was written; then: fingerflow study init {folder} --answers {folder / 'answers.csv'}")
-    typer.echo('and set design = "yes/no" in its study.toml: the observer answers to one stimulus')

@@ -70,7 +70,7 @@ def simulate(
 
 
 def _remove_demo(folder: Path) -> None:
-    """Remove the files of an earlier demo; raise FingerflowError, removing nothing, if the folder holds others."""
+    """Remove the files of an earlier demo; if the folder has other files, raise FingerflowError and remove nothing."""
     for name in _DEMO_FILES:
         unfinished(folder / name)  # removes what a killed demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)

@@ -26,6 +26,7 @@ from fingerflow.player.records import RecordLayout
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
+from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker, Work
 from fingerflow.tracker.stream_frame_quality import USABLE
 
@@ -88,9 +89,9 @@ class Player:
         self.computed_by, self.source_name = computed_by, played.name
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
-        # One slot is being filled, some computed, one is deferred, one measured, one drawn on the page; the others
+        # One slot is being filled, some computed, some are deferred, one is measured, one drawn on the page; the others
         # wait. Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 4 + tracker.lag)]
+        slots = [Slot(bundle) for _ in range(settings.queue + 3 + LONGEST + tracker.lag)]
         # The slot that was used last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)

@@ -1,4 +1,4 @@
-"""Horizontal axis of curves: time, or a force that only rises or only falls."""
+"""Horizontal axis of curves: normal force if it varies monotonically, else time."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True)
 class Abscissa:
-    """Horizontal axis of curves: name of its variable, values (F,) in F frames, and label."""
+    """Horizontal axis of a plot of F frames: variable name, values (F,) and label."""
 
     name: str
     values: NDArray[np.float64]
@@ -52,7 +52,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
 
 
 def varies(result: xr.Dataset, force: str) -> bool:
-    """Return whether a force varies: by more than a tenth of its largest value and ten times its noise."""
+    """Return True if a force varies by more than a tenth of its largest value and more than ten times its noise."""
     if force not in result:
         return False
     known = _smoothed(result, force)
@@ -63,7 +63,7 @@ def varies(result: xr.Dataset, force: str) -> bool:
 
 
 def is_monotonic(result: xr.Dataset) -> bool:
-    """Return whether a varying normal force only rises or only falls, apart from noise.
+    """Return True if the normal force varies and only rises or only falls, apart from noise.
 
     Reversals of up to 3 % of its range or 3 times its noise are ignored.
     """
@@ -81,7 +81,7 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Return the noise (standard deviation) of a force, by second differences, which a steady rise does not affect."""
+    """Return the noise (standard deviation) of a force from second differences, which ignore a steady rise."""
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

@@ -35,27 +35,25 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def figure_style(width_mm: float = ONE_COLUMN_MM) -> Iterator[None]:
-    """Set matplotlib's defaults within a ``with`` block so that new figures have a printed width and type of 7 pt or
-    more at that width.
-    """
+    """Set matplotlib's defaults in a ``with`` block for figures of a printed width, with type of at least 7 pt."""
     wide = width_mm / MM_PER_INCH
     with mpl.rc_context({**_STYLE, "figure.figsize": (wide, 0.75 * wide)}):
         yield
 
 
 def new_figure(height: float) -> Figure:
-    """Return a figure of the current width (`figure_style`), with a height given as a share of it."""
+    """Return a figure of the width set by `figure_style`; its height is `height` times that width."""
     wide = float(mpl.rcParams["figure.figsize"][0])
     return Figure(figsize=(wide, height * wide), layout="constrained")
 
 
 def given_or_new(axes: Axes | None, height: float = 0.72) -> Axes:
-    """Return the given axes, or the axes of a new figure with a height given as a share of its width."""
+    """Return the given axes, or new axes in a figure whose height is `height` times its width."""
     return new_figure(height).subplots() if axes is None else axes
 
 
 def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
-    """Return colour and dashes of each of some lines, which differ in both, as arguments of `Axes.plot`.
+    """Return keyword arguments of `Axes.plot` for `count` lines that differ in both colour and dashes.
 
     The lines are read without colour by their dashes. ``ordered`` is for lines of a rising quantity, such as a
     friction: their colours go from dark to light.
@@ -68,13 +66,13 @@ def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
 
 
 def dot_styles(count: int) -> list[dict[str, Any]]:
-    """Return colour, from dark to light, and marker of each of some groups of dots, as arguments of `Axes.plot`."""
+    """Return keyword arguments of `Axes.plot` for `count` groups of dots, which differ in colour and marker."""
     colours = colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1)))
     return [{"color": colours[k], "marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
 
 
 def legend_below(part: Figure | SubFigure, axes: Axes) -> None:
-    """Write one legend under all axes of a panel, which show the same lines as the given axes."""
+    """Add one legend below all axes of a panel, taken from the lines in the given axes."""
     if (own := axes.get_legend()) is not None:
         own.remove()
     handles, labels = axes.get_legend_handles_labels()
@@ -82,7 +80,7 @@ def legend_below(part: Figure | SubFigure, axes: Axes) -> None:
 
 
 def finished(axes: Axes, caption: str = "") -> Axes:
-    """Add a light grid to axes, a legend if any line has a name, and a caption; return the axes."""
+    """Add a light grid, a legend if any line has a label, and a caption to axes, and return the axes."""
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False)

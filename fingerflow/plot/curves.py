@@ -19,9 +19,7 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """One curve of a figure: legend name, values (F,), standard deviations (F,) or None, in the unit of the axis, and
-    the variable that it shows.
-    """
+    """Curve of a figure: legend name, values and standard deviations (F,) or None in the axis unit, and variable."""
 
     name: str
     values: Values
@@ -90,12 +88,12 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
         curves = [_curve(result, "contact_displacement", name, k) for k, name in enumerate("xy")]
         label = VARIABLES["contact_displacement"].with_unit("mean displacement")
         return _draw(result, axes, against, curves, label, "Displacement in contact")
-    return _from_zero(_alone(result, axes, against, "global_displacement", "Median displacement"))
+    return _from_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the strain energy with a band of two standard deviations; arguments as for `contact_area`."""
-    return _alone(result, axes, against, "strain_energy", "Strain energy")
+    return _draw_one(result, axes, against, "strain_energy", "Strain energy")
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -109,17 +107,17 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the ratio of tangential to normal force, by default against time; arguments as for `contact_area`."""
-    return _alone(result, axes, against, "load_ratio", "Friction ratio")
+    return _draw_one(result, axes, against, "load_ratio", "Friction ratio")
 
 
 def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of a soft sensor's markers in contact that have slipped, with gross slip marked.
+    """Draw the share of a soft sensor's markers in contact that have slipped, and mark gross slip.
 
     By default against time; arguments as for `contact_area`.
     """
     need(result, "slip_ratio", "gross_slip")
     x = abscissa(result, against)
-    drawn = _alone(result, axes, against, "slip_ratio", "Slip of what touches the gel")
+    drawn = _draw_one(result, axes, against, "slip_ratio", "Slip of what touches the gel")
     drawn.set_ylim(-0.03, 1.03)
     for k, where in enumerate(x.values[result["gross_slip"].values > 0]):
         drawn.axvline(where, color=YELLOW, linewidth=2, zorder=0, label=None if k else "gross slip")
@@ -167,7 +165,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 
 def need(result: xr.Dataset, *names: str) -> None:
-    """Check that a result has all of the given variables; raise FingerflowError otherwise."""
+    """Raise FingerflowError if a result lacks any of the given variables."""
     if lacking := [name for name in names if name not in result]:
         raise FingerflowError(
             f"the result has no {', '.join(lacking)}; process the scene again and ask for it (--output)"
@@ -175,7 +173,7 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
-    """Return a variable of a result, or one component, as a curve in the unit in which it is shown."""
+    """Return one variable of a result, or one component of it, as a curve in its display unit."""
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -190,8 +188,8 @@ def _from_zero(axes: Axes) -> Axes:
     return axes
 
 
-def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
-    """Draw a figure that contains the curve of one variable alone."""
+def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
+    """Draw a figure with the curve of a single variable."""
     need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
 
@@ -199,7 +197,7 @@ def _alone(result: xr.Dataset, axes: Axes | None, against: str | None, name: str
 def _draw(
     result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
 ) -> Axes:
-    """Draw several curves into one axes, with bands of BAND standard deviations."""
+    """Draw several curves into one axes, with bands of ± BAND standard deviations."""
     axes = given_or_new(axes)
     x = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
@@ -212,7 +210,7 @@ def _draw(
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
             axes.fill_between(x.values, low, high, color=style["color"], alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_whole(x.values))
+    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_frame_limits(x.values))
     if not any(np.isfinite(curve.values).any() for curve in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         axes.set_yticks([])
@@ -237,8 +235,8 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     return " ".join(said)
 
 
-def _whole(x: Values) -> tuple[float, float]:
-    """Return limits of the time or force axis that include every frame, even frames without a value."""
+def _frame_limits(x: Values) -> tuple[float, float]:
+    """Return axis limits that include all frames, even those in which the curves have no value."""
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

@@ -1,4 +1,4 @@
-"""Writing of figures to files: format, printed width, type, and a caption beside them."""
+"""Writing of figures to files: format, printed width, font size, and a caption file next to them."""
 
 import re
 import textwrap
@@ -34,14 +34,14 @@ _METADATA = {
 
 @dataclass(frozen=True)
 class FigureFiles:
-    """Formats in which figures are written, and their width on paper (mm); None leaves the width to each figure."""
+    """File formats of figures, and their printed width (mm), or None for the default width of each figure."""
 
     formats: tuple[str, ...] = ("png",)
     width_mm: float | None = None
 
     @classmethod
     def of(cls, formats: str, width: str | None = None) -> "FigureFiles":
-        """Read formats as "pdf,svg" and a width as "85mm", "8.5cm" or "3.3in".
+        """Return the settings for formats such as "pdf,svg" and a width such as "85mm", "8.5cm" or "3.3in".
 
         Raises:
             FingerflowError: an unknown format, or a width without unit or outside of 60 to 400 mm.
@@ -66,16 +66,16 @@ class FigureFiles:
         return cls(names, wide)
 
     def paths(self, folder: Path, name: str) -> list[Path]:
-        """Return the files of a figure: one a format, and the caption."""
+        """Return the paths of a figure's files: one per format, and the caption file."""
         return [folder / f"{name}.{suffix}" for suffix in (*self.formats, "txt")]
 
     def keep_others(self, folder: Path, name: str, overwrite: bool) -> None:
-        """Raise FingerflowError if writing a figure would, without ``overwrite``, replace a file that is no figure."""
+        """Raise FingerflowError if a figure would replace another program's file, unless ``overwrite`` is set."""
         for path in self.paths(folder, name):
             keep_others(path, is_marked, overwrite)
 
     def save(self, figure: Figure, folder: Path, name: str) -> Path:
-        """Write a figure in each format, and its caption as text; return the path of the first.
+        """Write a figure in each format and its caption as text; return the path of the first image file.
 
         Raises FingerflowError if a file cannot be written.
         """
@@ -92,7 +92,7 @@ PNG = FigureFiles()  #: each figure as PNG, in its own width
 
 
 def settle(figure: Figure) -> None:
-    """Break titles and labels that are longer than their axes into lines, and lay the figure out once and for all."""
+    """Wrap long titles and labels of a figure, then fix its layout, so that later drawing does not change it."""
     layout = figure.get_layout_engine()
     if layout is None:
         return
@@ -113,7 +113,7 @@ def _write(figure: Figure, path: Path, suffix: str, name: str) -> None:
 
 
 def _break_long_texts(figure: Figure) -> bool:
-    """Break texts that are longer than the side of the axes along which they run; return whether any was."""
+    """Wrap texts that are longer than the side of the axes along which they run; return True if any was wrapped."""
     broken = False
     for axes in figure.axes:
         box = axes.get_window_extent()

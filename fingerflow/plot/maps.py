@@ -1,4 +1,4 @@
-"""Maps of one frame: a quantity of the skin, or of the gel, at each position on the glass."""
+"""Maps of one frame: a quantity of skin or gel as colour over the position on the glass."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _MARGIN_MM = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity that a map shows, computed from a variable of the result.
+    """Quantity that a map shows: title, variable of the result, and how to compute it from that variable.
 
     Attributes:
         title: of the map.
@@ -43,7 +43,7 @@ class Quantity:
 
     @property
     def of_triangles(self) -> bool:
-        """Return whether the quantity has one value per triangle, rather than one per point."""
+        """Return True if the quantity has one value per triangle, False if one per point."""
         return "triangle" in VARIABLES[self.variable].dims
 
     @property
@@ -58,7 +58,7 @@ class Quantity:
 
 
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
-    """Return the principal strains (M, 2) of triangles, major first, and the direction (M,) of the major one, rad.
+    """Return the principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major strain, rad.
 
     The direction is measured from x towards y.
 
@@ -88,7 +88,7 @@ QUANTITIES: dict[str, Quantity] = {
 def field_map(
     result: xr.Dataset, quantity: str, frame: int, axes: Axes | None = None, limit: float | None = None
 ) -> Axes:
-    """Draw a map of one quantity in one frame on the glass (mm, y down), with the outline of the contact.
+    """Draw a map of a quantity in one frame over the glass (mm, y down), with the outline of the contact.
 
     Divergence, curl and displacement are quantities of the points: a triangle has the mean of its corners. The others
     are quantities of the triangles. The map of displacement has arrows, magnified as its title states; maps of
@@ -155,7 +155,7 @@ def field_map(
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """Return a common limit of the colour scale for maps of several frames, in the unit of the map.
+    """Return one limit of the colour scale for the maps of several frames, in the unit of the map.
 
     It is the largest over these frames of the 0.98 quantile of the absolute values, at most three times their median; 1
     if all are 0.
@@ -172,7 +172,7 @@ def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> fl
 
 
 def drawable(result: xr.Dataset) -> list[str]:
-    """Return the names in `QUANTITIES` whose variables a result has."""
+    """Return the names in `QUANTITIES` that can be drawn from the variables of a result."""
     return [name for name, one in QUANTITIES.items() if _has(result, one)]
 
 
@@ -222,7 +222,7 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Draw short lines along a principal strain direction at the centres of some triangles, all of equal length."""
+    """Draw the direction of the major (or minor) principal strain as short lines at the centres of some triangles."""
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
@@ -234,7 +234,7 @@ def _directions(
 
 
 def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` evenly spread positions: in each grid cell the one nearest to the centre."""
+    """Return indices of about `most` evenly spread positions, one in each grid cell, nearest to its centre."""
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)

@@ -1,4 +1,4 @@
-"""Panels of a figure: their letters, and how they are arranged at a printed width."""
+"""Panels of a figure: their letters and arrangement at a printed width."""
 
 import string
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def panel_letter(number: int) -> str:
 
 
 def row_of_panels(count: int, width_mm: float, height: float = 1.05) -> tuple[Figure, Sequence[SubFigure]]:
-    """Return a figure and its lettered panels, in a row, or in a column where a row has less than 50 mm for each.
+    """Return a figure with lettered panels in a row, or in a column if each would be narrower than 50 mm in a row.
 
     Args:
         count: of panels.
@@ -45,6 +45,6 @@ def letter_panel(part: SubFigure, number: int) -> None:
 
 
 def captions_of(parts: Sequence[SubFigure], named: Sequence[str] = ()) -> list[str]:
-    """Return a line for each panel: its letter, its name where there are names, and its caption."""
+    """Return one caption line per panel: letter, name (if names are given) and caption."""
     names = [f" ({name})" if name else "" for name in named] or [""] * len(parts)
     return [f"{panel_letter(k)}{names[k]}. {caption_of(part)}" for k, part in enumerate(parts)]

@@ -29,7 +29,7 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, only one name for each rectangle of the frame."""
+    """Return the names of a scene's views, only the first of those that cover the same part of the frame."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
@@ -119,7 +119,7 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    """Check that a result was computed from this recording; raise FingerflowError for another one."""
+    """Raise FingerflowError if a result was computed from another recording."""
     known = result.attrs.get("recording")  # missing in results of older versions
     settings = scene.recording
     end = len(recording) if settings.last_frame is None else settings.last_frame + 1
@@ -132,7 +132,7 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
-    """Draw the positions of points in a frame, and for lost points their positions in the first frame."""
+    """Draw the points of a frame at their positions, and lost points at their first-frame positions."""
     if "position" not in result:
         return
     name = followed(result)

@@ -1,4 +1,4 @@
-"""Numbers as text, rounded to their deviation."""
+"""Numbers as text, rounded to their uncertainty."""
 
 import math
 
@@ -6,7 +6,7 @@ _NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmet
 
 
 def with_uncertainty(value: float, spread: float = math.nan) -> str:
-    """Return "value ± spread", rounded to two digits of the spread; three digits of the value without a spread.
+    """Return "value ± spread" with two significant digits of the spread; three of the value if it has no spread.
 
     >>> with_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'
@@ -20,7 +20,7 @@ def with_uncertainty(value: float, spread: float = math.nan) -> str:
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return "value (low to high)", rounded to two digits of half the interval; the value alone without an interval.
+    """Return "value (low to high)" with two significant digits of half the interval; without it the value alone.
 
     >>> with_interval(0.8312, 0.7344, 0.9018)
     '0.831 (0.734 to 0.902)'
@@ -33,7 +33,7 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 
 def _decimals(size: float, digits: int) -> int:
-    """Return the decimals that show a positive number with some significant digits, after it is rounded to them."""
+    """Return the number of decimals with which a positive number has `digits` significant digits after rounding."""
     return digits - 1 - int(f"{size:.{digits - 1}e}".partition("e")[2])
 
 

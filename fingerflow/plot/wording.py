@@ -1,4 +1,4 @@
-"""Words in figures for the tracked object of a result: skin and its points, or a gel and its markers."""
+"""Words for the tracked object of a result in figures: skin and points, or gel and markers."""
 
 import json
 
@@ -9,18 +9,18 @@ from fingerflow.schema.variable_record import Variable
 
 
 def is_sensor(result: xr.Dataset) -> bool:
-    """Return whether a result is of a soft sensor, whose markers were tracked."""
+    """Return True if a result is of a soft sensor (a gel with printed markers)."""
     kind: str = json.loads(result.attrs.get("settings", "{}")).get("kind", "press")
     return kind == "soft_sensor"
 
 
 def followed(result: xr.Dataset) -> str:
-    """Return the word for the tracked objects of a result: "markers" or "points"."""
+    """Return the name of the tracked objects of a result: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"
 
 
 def said(frame: xr.Dataset) -> str:
-    """Return a text for the reader with number, time and normal force of a frame."""
+    """Return a caption text with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):
         words.append(f"{float(frame['normal_force']):.2f} N")
@@ -28,12 +28,12 @@ def said(frame: xr.Dataset) -> str:
 
 
 def definition_of(variable: Variable, more: str = "") -> str:
-    """Return a sentence that defines a variable or column for captions, and ends in further words."""
+    """Return a sentence that defines a variable or column, for captions; `more` is appended to it."""
     words = variable.words
     meaning = "" if variable.long_name == words else f": {variable.long_name}"
     return f"{sentence(words)}{meaning}{more}."
 
 
 def sentence(words: str) -> str:
-    """Return words with a capital first letter and all others as they are."""
+    """Return a text with its first letter capitalised and all others unchanged."""
     return words[:1].upper() + words[1:]

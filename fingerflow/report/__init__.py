@@ -1,4 +1,4 @@
-"""Report of a processed scene: figures, a self-contained page and a video."""
+"""Report of a processed recording: figures, a self-contained HTML page and a video."""
 
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.page import write_report

@@ -1,4 +1,4 @@
-"""Cautions for the reader of a report: sentences on what limits the use of a result."""
+"""Sentences that warn the reader of a report about limits of a result."""
 
 import json
 
@@ -13,7 +13,7 @@ _LARGE_SHARE = 0.02  # share of the triangles that may exceed it
 
 
 def cautions(result: xr.Dataset) -> list[str]:
-    """Return cautions on a result: warnings of the run, omitted frames, lost points, implausible strain."""
+    """Return cautions about a result: warnings of the run, omitted frames, lost points and implausible strain."""
     warnings = json.loads(result.attrs.get("warnings", "[]"))
     return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
 
@@ -63,7 +63,7 @@ def _of_points(result: xr.Dataset) -> list[str]:
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
-    """Return a caution if too many strains exceed what skin can bear.
+    """Return a caution if more strains than expected exceed the largest plausible strain of skin.
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """
@@ -89,7 +89,7 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
 
 def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Return counts of points without a position in the last usable frame, by reason, the most frequent first."""
+    """Return the number of points without a position in the last usable frame, by reason, most frequent first."""
     if "status" not in result or not result["status"].size:
         return []
     status = result["status"]

@@ -19,7 +19,7 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Decomposition of a displacement field of P points into `parts`, named by PARTS; NaN where unknown.
+    """Displacement field of P points, split into the `parts` named by PARTS; NaN at points with unknown displacement.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
@@ -34,7 +34,7 @@ class Decomposition:
 
 
 def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
-    """Decompose a displacement field into the parts of its linear least-squares fit, and the rest.
+    """Split a displacement field into constant, divergence, curl, two shears (from a linear fit) and residual.
 
     The fit is about the centre of the points.
 
@@ -70,7 +70,7 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
 
 
 def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
-    """Draw figure S6: arrows of the field and of each part in the order of PARTS, all at one scale."""
+    """Draw figure S6: the displacement field and each of its parts as arrows, all at the same scale."""
 
     def amount(variable: str, value: float) -> str:
         one = VARIABLES[variable]
@@ -118,7 +118,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return the arrow scale, to one digit, that draws the 0.95 quantile of the field as a sixth of its width."""
+    """Return an arrow scale, to one digit, that draws the 0.95 quantile of displacement as a sixth of the field."""
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

@@ -1,4 +1,4 @@
-"""Figure S4 of Willemet et al. 2021: a half-sphere of skin pressed flat, its arc, its contact and its compression."""
+"""Figure S4 of Willemet et al. 2021: geometry and compression of a half-sphere of skin pressed flat."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ DEPTH_MM, DEEPEST_MM = 3.0, 4.0
 
 
 def draw_half_sphere(axes: Axes) -> Axes:
-    """Draw figure S4 A: the fingertip pressed by 3 mm into the glass, the arc 2 L and the contact 2 a (mm)."""
+    """Draw figure S4 A: a fingertip pressed 3 mm into the glass, its arc (2 L) and its contact width (2 a), mm."""
     delta, radius = DEPTH_MM, RADIUS_MM
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY)
@@ -47,7 +47,7 @@ def draw_lengths(axes: Axes) -> Axes:
 
 
 def draw_radial_strain(axes: Axes) -> Axes:
-    """Draw figure S4 C: compression of sticking skin (%) against the indentation (mm), with 3 mm marked."""
+    """Draw figure S4 C: compression (%) of skin that sticks to the glass against the indentation, with 3 mm marked."""
     delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, RADIUS_MM), color=INK)
     at_three = 100 * float(radial_strain(DEPTH_MM, RADIUS_MM))

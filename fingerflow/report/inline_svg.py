@@ -27,7 +27,7 @@ _UNIT = re.compile(r"\(([^()]*)\)$")
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """Return a figure as an <svg> element that fills the width of its container; text stays text.
+    """Return a figure as an <svg> element of its container's width; text is kept as text, not as outlines.
 
     Args:
         figure: figure to draw.
@@ -46,15 +46,15 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
     # Ids must be unique in a page: only those that are referred to are kept.
-    rest = _PNG.sub(_smaller, rest)
+    rest = _PNG.sub(_compressed, rest)
     rest = rest.replace(f"'{FONT}'", f"'{FONT}', sans-serif")
     rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))
     width = figure.get_figwidth()
     return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
 
 
-def _smaller(found: re.Match[str]) -> str:
-    """Return a large opaque image as JPEG, about a fifth of the original size, and any other image unchanged."""
+def _compressed(found: re.Match[str]) -> str:
+    """Return the data URI of an image as JPEG if the image is large and opaque, else unchanged."""
     data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
@@ -64,7 +64,7 @@ def _smaller(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the values of named curves, which the page shows at the cursor, and the position of the axes.
+    """Return the values of the named curves of axes, which the page displays at the cursor, or None if there are none.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.
@@ -76,23 +76,23 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
     place = axes.get_position()
     unit = _UNIT.search(axes.get_ylabel())
     return {
-        "box": [_short(one) for one in (place.x0, 1 - place.y1, place.width, place.height)],
-        "xlim": [_short(one) for one in axes.get_xlim()],
-        "ylim": [_short(one) for one in axes.get_ylim()],
+        "box": [_rounded(one) for one in (place.x0, 1 - place.y1, place.width, place.height)],
+        "xlim": [_rounded(one) for one in axes.get_xlim()],
+        "ylim": [_rounded(one) for one in axes.get_ylim()],
         "label": axes.get_xlabel(),
         "unit": "" if unit is None else unit[1],
-        "x": [_short(one) for one in np.asarray(lines[0].get_xdata(), dtype=float)],
+        "x": [_rounded(one) for one in np.asarray(lines[0].get_xdata(), dtype=float)],
         "curves": [
             {
                 "name": str(line.get_label()),
                 "colour": str(line.get_color()),
-                "y": [_short(one) for one in np.asarray(line.get_ydata(), dtype=float)],
+                "y": [_rounded(one) for one in np.asarray(line.get_ydata(), dtype=float)],
             }
             for line in lines
         ],
     }
 
 
-def _short(value: float) -> float | None:
-    """Return a number rounded to five digits for JSON; None (null) if it is not finite."""
+def _rounded(value: float) -> float | None:
+    """Return a number rounded to five significant digits for JSON, or None (null) if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

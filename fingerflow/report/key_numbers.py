@@ -1,4 +1,4 @@
-"""Table of a trial's main quantities, with uncertainty, at the key frames of the trial."""
+"""Table of a trial's main quantities, with uncertainty, at the frames that its report shows in detail."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.plot.rounding import with_uncertainty
-from fingerflow.report.telling_frames import Telling
+from fingerflow.report.key_frames import ReportFrame
 from fingerflow.schema.variables import VARIABLES
 
 _WINDOW = 11  # frames of the parabola fit
@@ -42,8 +42,8 @@ class Line:
     values: tuple[str, ...]
 
 
-def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
-    """Return rows of forces, areas, divergence, curl, displacement and energy at key frames, ± one standard deviation.
+def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]:
+    """Return table rows (force, areas, divergence, curl, displacement, energy) with ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
     energy the uncertainty of the border. For areas it is the scatter from frame to frame (`scatter`).
@@ -68,7 +68,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the standard deviation (F,) of a series from a parabola fitted to the 11 frames around each frame.
+    """Return the standard deviation (F,) of a series about parabolas fitted to 11 frames around each frame.
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """

@@ -38,7 +38,7 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
 
 
 def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
-    """Draw figure S11 B: hits against false alarms as the criterion sweeps the metric (ROC)."""
+    """Draw figure S11 B: ROC curves, that is hit rate against false-alarm rate for all criteria, one curve a metric."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.6)
     for (name, observer), style in zip(observers.items(), line_styles(len(observers), ordered=True), strict=True):
         axes.plot(
@@ -58,7 +58,7 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
-    """Draw the table of figure S11 C: the estimate of each metric with its interval and number of trials."""
+    """Draw the table of figure S11 C: estimate, interval and number of trials of each metric, and chance level."""
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
@@ -76,7 +76,7 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
 
 
 def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
-    """Draw figure S12 A: histogram of the participants' values, the mixture of two groups and their border."""
+    """Draw figure S12 A: histogram of participant medians, fitted two-Gaussian mixture, and border of the groups."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
@@ -100,7 +100,7 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
 def draw_psychometric(
     axes: Axes, curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, PsychometricFit]], stimulus: str
 ) -> Axes:
-    """Draw figures S12 B and C: share of answers by stimulus, with fitted curve and threshold interval, by group.
+    """Draw figures S12 B and C: shares of answers with the fitted psychometric curve and threshold of each group.
 
     Args:
         curves: (stimulus, answers, trials, fit) by name of the group, as passed to `fit_psychometric`.

@@ -1,4 +1,4 @@
-"""Overlay video of a result: both views with contact, points and displacement."""
+"""Video of a result: the views of the recording with contact, points and displacement drawn over them."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -21,14 +21,14 @@ from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import views_of
 from fingerflow.plot.wording import followed, is_sensor, said
-from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.cautions import cautions, lost_points
+from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
+from fingerflow.report.key_frames import ReportFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
-from fingerflow.report.telling_frames import Telling, telling_frames
 from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.schema.scene import Scene
 
@@ -38,7 +38,7 @@ Draw = Callable[..., Axes]
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure of the report page: unique name, SVG text, caption, and values of its curves or None."""
+    """Figure for the report page: unique name, SVG text, caption, and curve values to display at the cursor."""
 
     name: str
     svg: str
@@ -57,7 +57,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: title, and panels of which one is shown at a time, beginning with panel ``first``."""
+    """Section of the report page: title, notes, and panels of which the reader sees one at a time."""
 
     title: str
     panels: list[Panel]
@@ -67,7 +67,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Builder of the figures on the report page of a result, which also writes them as files where ``files`` asks."""
+    """Drawing functions for one report page; each figure is also written as a file if ``files`` is given."""
 
     result: xr.Dataset
     folder: Path
@@ -76,7 +76,7 @@ class _Figures:
 
     @property
     def wide_mm(self) -> float:
-        """Return the width of a figure of several panels."""
+        """Return the width (mm) of figures with several panels."""
         return (self.files and self.files.width_mm) or TWO_COLUMNS_MM
 
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
@@ -93,7 +93,7 @@ class _Figures:
         return Drawn(name, svg, caption_of(figure))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of the report with curves of given variables; None if none of these is known.
+        """Return a section with one curve per variable; None if the result has values of none of them.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -111,7 +111,7 @@ class _Figures:
         return Section(title, panels, notes)
 
     def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw one figure for each given variable, all with equal settings, named by variable and abscissa."""
+        """Draw one figure per variable, passing the same settings to each drawing function."""
         figures = []
         for draw_one, variable in given:
             on = draw_one(self.result, **settings)
@@ -126,7 +126,7 @@ def write_report(
     scene: Scene | None,
     folder: Path,
     comparison: Sequence[Any] = (),
-    chain: BesideChain | None = None,
+    chain: ChainComparison | None = None,
     video: bool = True,
     overwrite: bool = False,
     figure_files: FigureFiles | None = None,
@@ -154,7 +154,7 @@ def write_report(
         keep_others(folder / output, is_marked, overwrite)
     if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
-    frames = telling_frames(result)
+    frames = key_frames(result)
     make = _Figures(result, folder / "figures", figure_files, overwrite)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames, chain)
@@ -200,13 +200,13 @@ def write_report(
 
 
 def _sections(
-    make: _Figures, scene: Scene | None, frames: Sequence[Telling], chain: BesideChain | None
+    make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame], chain: ChainComparison | None
 ) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
     most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
-        pictured = frames or [Telling(0, "first frame")]
+        pictured = frames or [ReportFrame(0, "first frame")]
         panels = [
             Panel(
                 one.why,
@@ -261,7 +261,7 @@ def _sections(
     return [one for one in sections if one is not None]
 
 
-def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
+def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], first: int) -> Section | None:
     """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
@@ -293,7 +293,7 @@ def _known(result: xr.Dataset, variable: str) -> bool:
 
 
 def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return whether a map of a quantity has a value in any of the given frames."""
+    """Return True if a map of a quantity has a finite value in any of the given frames."""
     values = plot.QUANTITIES[quantity].values
     return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
@@ -307,7 +307,7 @@ def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:
-    """Return the overlay image that `fingerflow calibrate` wrote beside the calibration file, in base64, or None."""
+    """Return the overlay image (base64) that `fingerflow calibrate` wrote with the calibration; None if missing."""
     if scene is None or scene.calibration.file is None:
         return None
     path = scene.calibration.file.with_suffix(".png")

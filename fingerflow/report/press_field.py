@@ -19,7 +19,7 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """True displacement and curl at P points of the contact in the last frame, and median curl in F frames."""
+    """Ground-truth displacement and curl at P points of the contact in the last frame, and median curl in F frames."""
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact
@@ -29,7 +29,7 @@ class PressField:
 
 
 def press_field(scene: SyntheticScene) -> PressField:
-    """Return the true field of a scene that ends in contact."""
+    """Return the ground-truth field of a synthetic press; the finger must be in contact in the last frame."""
     truth, last = scene.truth, len(scene.times) - 1
     ellipse = truth.ellipse(last)
     assert ellipse is not None

@@ -10,7 +10,7 @@ from fingerflow.schema.scene_keys import REGION, SCENE, Choice, SceneKey, SceneT
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
-    """Return rows (name, value) of each settings table from a result's attribute `settings`, without unset keys."""
+    """Parse a result's attribute `settings`, and return rows (name, value) of each table without unset keys."""
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:
@@ -22,7 +22,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
 
 
 def transform_rows(stored: str) -> list[tuple[str, str]]:
-    """Return rows on magnification, rotation and shift of a result's `topography_to_contact`; none for the identity."""
+    """Return table rows on the scale, rotation and shift between the two views; none for an identity transform."""
     matrix = np.array(json.loads(stored), dtype=np.float64)
     if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
         return []

@@ -35,7 +35,7 @@ _SINCE = "Strains count from the undeformed finger."
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Simulated presses at K frictions under one force trace of T times; `chain` is (T, K, ...) in SI units."""
+    """Skin-chain simulations of a press at K frictions and T times; `chain` holds arrays (T, K, ...) in SI units."""
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -43,11 +43,11 @@ class SimulatedPresses:
     chain: PressedChain
 
     def index(self, friction: float) -> int:
-        """Return the index of the press with a given friction coefficient."""
+        """Return the index of the simulation with a given friction coefficient."""
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return strains along each contact from its middle to its edge, interpolated between elements."""
+        """Return radial and hoop strain of each contact by radius, interpolated between the chain's elements."""
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -69,7 +69,7 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Strains (T, K, R) in K presses at T times and R radii (mm) from middle to contact edge; NaN without contact."""
+    """Radial and hoop strain (T, K, R) at T times, K frictions and R radii (mm) up to the contact edge."""
 
     radius: Values
     radial: Values  # du/dx
@@ -91,8 +91,8 @@ def simulate_presses(
 
 
 def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]:
-    """Draw figures S8 B and D: exx, eyy and exy (%) over the contact at full load, one row a friction, in one scale."""
-    extents, strains = _turned(presses)
+    """Draw figures S8 B and D: maps of exx, eyy and exy (%) at full load, one row per friction, in equal colours."""
+    extents, strains = _axisymmetric_maps(presses)
     largest = 100 * float(np.nanmax(np.abs(strains)))
     axes: NDArray[Any] = part.subplots(2, 3, sharex=True, sharey=True)
     scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest, "interpolation": "nearest"}
@@ -116,7 +116,7 @@ def draw_strain_maps(part: SubFigure, presses: SimulatedPresses) -> NDArray[Any]
 def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
     """Draw figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one colour scale."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharey=True)
-    extents, strains = _turned(presses)
+    extents, strains = _axisymmetric_maps(presses)
     densities = strain_energy_density(torch.from_numpy(strains)).numpy()
     scale = {"cmap": "viridis", "vmin": 0, "vmax": np.nanmax(densities), "interpolation": "nearest"}
     for one, extent, density, friction in zip(axes, extents, densities, (LOW, HIGH), strict=True):
@@ -133,7 +133,7 @@ def draw_energy_maps(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axe
 
 
 def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = False) -> Sequence[Axes]:
-    """Draw figure S8 E, or F with ``rate``: medians of both strains along the contact (%, %/s) against normal force."""
+    """Draw figure S8 E: median radial and hoop strain (%) against normal force; with ``rate`` S8 F, their rates."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharex=True)
     found = presses.profile()
     for one, strain, name in zip(axes, (found.radial, found.hoop), ("radial", "hoop"), strict=True):
@@ -155,7 +155,7 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
 
 
 def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False) -> Axes:
-    """Draw figure S9 B, or C with ``rate``: total strain energy (mJ, mJ/s) against the normal force."""
+    """Draw figure S9 B: total strain energy (mJ) against normal force; with ``rate`` figure S9 C, its rate (mJ/s)."""
     energy = presses.energy()
     _draw_series(axes, presses, _rate(energy, presses.time) if rate else energy)
     axes.set(ylabel="strain energy rate (mJ/s)" if rate else "total strain energy (mJ)")
@@ -169,7 +169,7 @@ def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False
 
 
 def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 K: speed along the plate of the element displaced furthest in contact, against normal force."""
+    """Draw figure S5 K: tangential speed (mm/s) of the chain element that moves furthest, against normal force."""
     moved = 1e3 * presses.chain.displacement[..., 0].numpy()
     touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
     furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
@@ -185,7 +185,7 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 J of the model: largest displacement (mm) along the plate in contact at full load, by friction."""
+    """Draw figure S5 J for the skin chain: largest tangential displacement (mm) at full load, by friction."""
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
@@ -207,7 +207,7 @@ def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return time derivatives (T, K) per second, by line fits over 0.12 s of evenly spaced times; NaN near the ends."""
+    """Return time derivatives (T, K) per second: slopes of lines fitted to 0.12 s of values; NaN near the ends."""
     step = float(time[1] - time[0])
     width = max(1, round(_SLOPE_S / step / 2))
     rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
@@ -221,8 +221,8 @@ def _density(radial: Values, hoop: Values) -> Values:
     return np.asarray(strain_energy_density(green_lagrange(gradient)))
 
 
-def _turned(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) of the contact at low and high friction, by rotational symmetry.
+def _axisymmetric_maps(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
+    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, assuming axial symmetry.
 
     They are those at full load; NaN off contact.
     """

@@ -1,4 +1,4 @@
-"""Figures of Terekhov & Hayward 2011, drawn into given axes: skin motion, d^2 against T/N and against time."""
+"""Figures of Terekhov & Hayward 2011: skin motion, and the relative stuck area against load ratio and time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -30,7 +30,7 @@ def draw_motion(
     contact_outline: ArrayLike | None = None,
     stuck_outline: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figure 1: the skin's displacement as arrows at scale 1, with the outlines of contact and stick region.
+    """Draw figure 1: displacement of the skin as arrows in true length, with outlines of contact and stick region.
 
     Args:
         points: (P, 2) mm, positions of the arrows' tails, y down.
@@ -71,7 +71,7 @@ def draw_trial(
     fit: FrictionFit | None = None,
     printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: d^2 against T/N, the 5 % corridor about T/N at the loss, the collapse, the fit.
+    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model.
 
     ``printed_area`` is the d^2 of the printed criterion, drawn beside it.
     """
@@ -104,7 +104,7 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for many trials: d^2 against T/N relative to the loss of adhesion, coloured by verdict.
+    """Draw figures 2 b and c for many trials: stuck area d^2 against load ratio, scaled to 1 at full slip.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """
@@ -136,7 +136,7 @@ def draw_over_time(
     area_std: ArrayLike | None = None,
     printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figure 2 d: d^2 against time (s), with the collapse and the complete loss of adhesion marked.
+    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip.
 
     ``area_std`` draws a band of one standard deviation, ``printed_area`` the d^2 of the printed criterion.
     """
@@ -157,7 +157,7 @@ def draw_over_time(
 
 
 def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: TrialVerdict) -> bool:
-    """Draw the collapse of the stuck area if there is one, and return whether there is."""
+    """Draw the sudden collapse of the stuck area, and return True; without a collapse draw nothing and return False."""
     if verdict.outcome != "vanishes abruptly":
         return False
     collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)

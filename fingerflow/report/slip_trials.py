@@ -1,4 +1,4 @@
-"""Results of trials of tangential loading: text of verdicts, counts, and figures as in Terekhov & Hayward 2011."""
+"""Text and figures about trials of tangential loading, as in Terekhov & Hayward 2011."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_tri
 
 @dataclass(frozen=True)
 class SlipTrial:
-    """Processed trial of tangential loading: name, data set, verdict, and friction fit or None."""
+    """Processed trial of tangential loading: name, result data set, verdict on slip, and friction fit or None."""
 
     name: str
     result: xr.Dataset
@@ -33,7 +33,7 @@ class SlipTrial:
 
     @classmethod
     def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
-        """Return the trial stored in a data set that contains `stuck_ratio`."""
+        """Return the trial stored in a result data set with the variable `stuck_ratio`."""
         stored = result["stuck_ratio"].attrs
         verdict = TrialVerdict(**_numbers(stored["verdict"]))
         fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None
@@ -41,19 +41,19 @@ class SlipTrial:
 
     @property
     def words(self) -> str:
-        """Return the name of the trial without path: that of its scene file, or of the folder of a `scene.toml`."""
+        """Return a short name of the trial: the stem of its scene file, or the folder of a file `scene.toml`."""
         path = Path(self.name)
         return path.parent.resolve().name if path.stem == "scene" else path.stem
 
     def load_ratio(self) -> NDArray[np.float64]:
-        """Return the load ratio T/N in each frame (F,), NaN without forces."""
+        """Return the load ratio (F,), tangential over normal force, in each of F frames; NaN without forces."""
         if "load_ratio" in self.result:
             return np.asarray(self.result["load_ratio"])
         return np.full(self.result.sizes["frame"], np.nan)
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return one line with the verdicts on a trial by change point, published rule and model."""
+    """Return one line with the verdicts on a trial by change point, by the published rule and by model."""
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -68,7 +68,7 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return one line with the number of trials of each verdict, by the change point and by the published rule."""
+    """Return one line that counts the trials by verdict, by the change point and by the published rule."""
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),
@@ -82,7 +82,7 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
 
 
 def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False, files: FigureFiles = PNG) -> Path:
-    """Write one figure per trial (`trial_figure`), and `trials` with all trials; return the folder.
+    """Write a figure for each trial and a figure `trials` of all trials; return the folder.
 
     Raises:
         FingerflowError: without ``overwrite``, a file would be replaced that fingerflow has not written; nothing is
@@ -111,7 +111,7 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = F
 
 
 def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw a trial: skin motion and stick region at the end of slow loading, d^2 against T/N, and d^2 against time."""
+    """Draw a trial: skin motion with stick region, and relative stuck area d^2 against load ratio and against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
     with figure_style(width_mm):
@@ -131,7 +131,7 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
 
 
 def _numbers(stored: str) -> dict[str, Any]:
-    """Return numbers stored as JSON in an attribute of a result, as a dataclass; null becomes NaN, lists tuples."""
+    """Parse the JSON of a result's attribute, with NaN for null and tuples for lists."""
 
     def read(value: Any) -> Any:
         if isinstance(value, list):

@@ -24,7 +24,7 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stress and strain below the surface in K presses, at Y positions along the surface and several depths."""
+    """Stress and strain below the surface of K simulated presses, at Y positions along it and several depths."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -34,8 +34,8 @@ class Depth:
     strain_z: Values  # (T, K, Y) without unit, 2 mm deep, along the depth
 
 
-def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute half-space stress under simulated pressure and traction, and the resulting viscoelastic strain."""
+def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
+    """Compute stress below the surface of simulated presses, and the viscoelastic strain that it causes."""
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -54,7 +54,7 @@ def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -
 
 
 def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Draw figure S10 A: pressure (kPa) under the skin and its shape (mm) as the force rises, at the high friction."""
+    """Draw figure S10 A: contact pressure (kPa) and shape of the skin (mm) as the force rises, at high friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
@@ -78,9 +78,9 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]
 
 
 def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line a friction."""
+    """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
-    for k, style in enumerate(_lines(presses)):
+    for k, style in enumerate(_line_styles(presses)):
         x = 1e3 * presses.chain.position[-1, k, :, 0].numpy()
         for one, load in zip(axes, (presses.chain.pressure, presses.chain.traction), strict=True):
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
@@ -119,11 +119,11 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
 
 
 def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
-    """Draw figure S10 D: the three stresses (kPa) 2 mm deep at full load, one line a friction."""
+    """Draw figure S10 D: the three stress components (kPa) 2 mm deep at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
     for one, values, name in zip(axes, depth.receptor_stress, names, strict=True):
-        for profile, style in zip(values, _lines(presses), strict=True):
+        for profile, style in zip(values, _line_styles(presses), strict=True):
             one.plot(depth.place, profile, **style)
         one.set_ylabel(name)
         one.grid(alpha=0.25)
@@ -140,7 +140,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
 
 
 def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Axes:
-    """Draw figure S10 E: strain along the surface (%) 2 mm deep, over position and time, at the high friction."""
+    """Draw figure S10 E: tangential strain (%) 2 mm deep as a map over position and time, at high friction."""
     axes: Axes = part.subplots()
     strain = 100 * depth.strain_y[:, presses.index(HIGH)]
     largest = float(np.abs(strain).max())
@@ -155,7 +155,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     """Draw figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time."""
     middle = len(depth.place) // 2
     compression = -100 * depth.strain_z[:, :, middle]
-    for series, style in zip(compression.T, _lines(presses), strict=True):
+    for series, style in zip(compression.T, _line_styles(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
     axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2")
@@ -166,8 +166,8 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     )
 
 
-def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return line styles of decreasing width for the presses, so that nearly equal curves stay visible."""
+def _line_styles(presses: SimulatedPresses) -> list[dict[str, Any]]:
+    """Return one line style per simulation, thinner for later ones, so that overlapping curves stay visible."""
     widths = np.linspace(2.6, 0.8, len(presses.friction))
     styles = line_styles(len(presses.friction), ordered=True)
     return [
@@ -177,7 +177,7 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return a text with the ratios of values (K,) at high friction to those at low and at least friction."""
+    """Return text with the ratios of values (K,) at high friction to those at low and at the lowest friction."""
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

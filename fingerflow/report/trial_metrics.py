@@ -15,11 +15,10 @@ from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, s
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
 from fingerflow.plot.rounding import with_interval, with_uncertainty
 from fingerflow.plot.wording import definition_of, sentence
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 
 Values = NDArray[np.float64]
 ANSWERED = "p(more slippery)"
-DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # with equally many trials
 _HATCHES = ("", "////", "....")  # of bars, which are told apart without colour
@@ -45,7 +44,7 @@ METRICS = (
 
 
 def label_of(metric: str) -> str:
-    """Return the axis label of a metric; a name with `_difference` means comparison less reference."""
+    """Return the axis label of a metric; `_difference` in its name stands for comparison minus reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
     return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
@@ -74,7 +73,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S5 E, F and G: share of answers in eight bins of a metric, with 95 % intervals and an ANOVA.
+    """Draw figures S5 E, F and G: share of "more slippery" answers in eight bins of a metric, with an ANOVA.
 
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
@@ -91,17 +90,17 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
-    axes.set_title(_of_anova(test))
+    axes.set_title(_anova_text(test))
     return finished(
         axes,
         f"Share of trials in which the comparison was felt as more slippery, in {_BINS} bins of equally many trials at "
-        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_said_of(test)} "
+        f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_anova_sentence(test)} "
         f"n = {int(known.sum())} trials.",
     )
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figure S5 I: share of answers at each amplitude, one bar each for low, middle and high metric values."""
+    """Draw figure S5 I: share of "more slippery" answers by vibration amplitude, for three levels of a metric."""
     values = _shown(trials, metric)
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
@@ -129,7 +128,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
     size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
     axes.set_title(size)
-    return finished_beside(
+    return finish_with_side_legend(
         axes,
         label_of(metric),
         "Share of trials in which the comparison was felt as more slippery, by vibration amplitude, for trials in the "
@@ -138,7 +137,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric of the trials by vibration amplitude, with an ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric against vibration amplitude, over all trials, with an ANOVA.
 
     Trials, medians and mean ± SD are drawn.
 
@@ -167,17 +166,17 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     label = label_of(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
-    axes.set_title(_of_anova(test))
+    axes.set_title(_anova_text(test))
     over = f"{sentence(label)}, the median of the participant's trials."
     return finished(
         axes,
         f"Dots: trials, by vibration amplitude. {over if normalised else _defined(metric)} Line: median; bar: mean ± "
-        f"one standard deviation over trials. {_said_of(test)} n = {int(np.isfinite(values).sum())} trials.",
+        f"one standard deviation over trials. {_anova_sentence(test)} n = {int(np.isfinite(values).sum())} trials.",
     )
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S7 C to E, S8 H and I, S9 E: share of answers against the median of a metric.
+    """Draw figures S7 C to E, S8 H and I, S9 E: share of "more slippery" answers against the median of a metric.
 
     One dot a participant and amplitude, darker for smaller amplitudes. The title has Spearman's coefficient over the
     dots.
@@ -193,7 +192,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     axes.locator_params(axis="x", nbins=5)
     size = f"{found.trials} dots of {found.participants} participants"
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}")
-    return finished_beside(
+    return finish_with_side_legend(
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
@@ -203,7 +202,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
-    """Draw figures S8 G and S9 D: one metric against another, one colour a participant, least-squares line and R²."""
+    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R²."""
     x, y = _draw_by_participant(axes, trials, first, second)
     found = pearson(x, y)
     if np.isfinite(found.value):
@@ -224,7 +223,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 
 def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
-    """Draw figure S13 C: median curl against median divergence of each trial, one colour a participant."""
+    """Draw figure S13 C: median curl against median divergence of each trial, coloured by participant."""
     found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
     low, high = found.interval
     axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
@@ -238,7 +237,7 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return a dot per participant and condition: a metric's median, share of answers, condition index, participant.
+    """Return median metric, share of answers, condition index and participant (N,) of N participant-condition pairs.
 
     Pairs without a known value are left out.
     """
@@ -254,15 +253,15 @@ def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.
 
 
 def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Values]:
-    """Return the participants' names and medians of a metric, in the unit of its axis; NaN where unknown."""
+    """Return the participants' names and the median of a metric for each, in its axis unit; NaN where unknown."""
     names = np.unique(trials.participant)
     values = _shown(trials, metric)
     own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
     return names, np.array([np.median(known) if known.size else np.nan for known in own])
 
 
-def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
-    """Finish axes as `finished` does, with the legend beside the axes so that it covers no data."""
+def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
+    """Add grid and caption to axes as `finished` does, with the legend to the right of them."""
     finished(axes, caption)
     axes.legend(
         frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,
@@ -272,7 +271,7 @@ def finished_beside(axes: Axes, title: str, caption: str) -> Axes:
 
 
 def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) -> tuple[Values, Values]:
-    """Draw a metric against another, one colour a participant; return the values of both in the units of the axes."""
+    """Draw one metric against another, coloured by participant, and return both (T,) in the units of the axes."""
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, style in zip(names, dot_styles(names.size), strict=True):
@@ -288,7 +287,7 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
-    """Return the names of the conditions in rising order, and for each trial the index of its condition."""
+    """Return the names of the conditions in ascending order, and the index of its condition for each trial."""
     values, place = np.unique(trials.condition, return_inverse=True)
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
 
@@ -304,7 +303,7 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
 
 
 def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of a share, which stays within 0 and 1.
+    """Return the 95 % Wilson score interval of the share of positive answers, corrected for clustering by participant.
 
     The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
     sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
@@ -322,18 +321,18 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
     return middle - reach, middle + reach
 
 
-def _of_anova(test: Anova) -> str:
-    """Return a text on an analysis of variance: F, degrees of freedom, p, numbers of trials and participants."""
+def _anova_text(test: Anova) -> str:
+    """Return text on an analysis of variance: F, degrees of freedom, p-value, numbers of trials and participants."""
     if np.isnan(test.f):
         return "no F"
     size = f"{sum(test.trials.values())} trials of {test.participants} participants"
     return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
 
 
-def _said_of(test: Anova) -> str:
-    """Return a sentence on an analysis of variance for captions."""
+def _anova_sentence(test: Anova) -> str:
+    """Return a caption sentence that names an analysis of variance and states its outcome."""
     reason = f" ({test.reason})" if test.reason else ""
-    return f"ANOVA with participants as a random effect: {_of_anova(test)}{reason}."
+    return f"ANOVA with participants as a random effect: {_anova_text(test)}{reason}."
 
 
 def _p(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Reader of a table of trials from a CSV file: one row a trial, column names in the heading."""
+"""Reader of a table of trials from a CSV file with one row per trial and column names in the first line."""
 
 import math
 from os import PathLike
@@ -16,7 +16,7 @@ _NAMES = ("participant", "trial")  # kept as text; conditions are numbers if all
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:
-    """Read a CSV table of trials, and check it by `fingerflow.models.observer.read_trials`.
+    """Read a table of trials from a CSV file and validate it with `fingerflow.models.observer.read_trials`.
 
     Columns `participant`, `trial`, `condition` (the vibration amplitude in µm, for figures against it), `answer` (1 or
     true where the comparison was felt as more slippery, which is correct) and metrics. An empty cell is NaN.

@@ -34,7 +34,7 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of each rising half period, in six equal bins of vibration amplitude.
+        """Return friction coefficients of the half periods in which vibration amplitude rises, in six amplitude bins.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
@@ -51,7 +51,7 @@ class TribometerTrace:
 def read_tribometer(
     path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> TribometerTrace:
-    """Read a tribometer trace from a file of any format of `open_forces`.
+    """Read a tribometer trace from a force file (CSV, HDF5, .mat or .tdms).
 
     Args:
         path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
@@ -83,7 +83,7 @@ def read_tribometer(
 
 
 def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpochs) -> Sequence[Axes]:
-    """Draw figure S1 A into four axes: forces, T/N, position and vibration envelope, with the epochs shaded."""
+    """Draw figure S1 A into four axes: forces, friction ratio, position and vibration amplitude over time."""
     step = max(1, len(trace.time) // _MOST_POINTS)
     time, normal, tangential, position, amplitude = (
         signal[::step].numpy()
@@ -105,7 +105,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
         one.label_outer()
     count = len(epochs.start)
     forces.set(ylabel="force (N)", title=f"{count} epoch{'s' * (count != 1)}: leftwards, envelope rising")
-    coefficient.set(ylabel="|T| / N", ylim=(0, _enough(ratio)))
+    coefficient.set(ylabel="|T| / N", ylim=(0, _axis_limit(ratio)))
     place.set(ylabel="finger (mm)")
     envelope.set(ylabel="vibration (µm)", xlabel="time (s)", ylim=(0, None))
     for one in axes:
@@ -129,7 +129,9 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
     median, spread, count = (part.numpy() for part in epochs.over_epochs())
     name = f"median and quartiles of {int(count.max(initial=0))} epochs"
     axes.errorbar(middles, median, spread / 2, fmt="o-", color=INK, markersize=4, capsize=3, label=name)
-    axes.set(xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, _enough(epochs.median.numpy())))
+    axes.set(
+        xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, _axis_limit(epochs.median.numpy()))
+    )
     return finished(
         axes,
         "Friction coefficient |T|/N against the amplitude of the vibration. Grey: median of each epoch. Dots: median "
@@ -137,7 +139,7 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
     )
 
 
-def _enough(values: np.ndarray) -> float | None:
-    """Return an upper axis limit from the 0.99 quantile of values, to ignore outliers."""
+def _axis_limit(values: np.ndarray) -> float | None:
+    """Return an upper axis limit (1.2 times the 0.99 quantile) that ignores outliers; None without finite values."""
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

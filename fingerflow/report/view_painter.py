@@ -32,7 +32,7 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Return an image (H, W, 3) of the views side by side in a frame, given by its index in the result."""
+        """Return an RGB image (H, W, 3) of a frame's views next to each other; `frame` is an index in the result."""
         picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
         outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
         parts = []
@@ -40,7 +40,7 @@ class ViewPainter:
             part = self._grey(number, view.crop(picture))
             for outline, colour, width in outlines:
                 if outline is not None:
-                    cv2.polylines(part, [_eighths(outline, matrix)], True, colour, width, cv2.LINE_AA, 3)
+                    cv2.polylines(part, [_drawing_coordinates(outline, matrix)], True, colour, width, cv2.LINE_AA, 3)
             self._points(part, frame, matrix, arrow_scale)
             parts.append(part)
         height = min(part.shape[0] for part in parts)
@@ -61,18 +61,18 @@ class ViewPainter:
             return
         positions = self._result["position"].values
         known = np.isfinite(positions[frame]).all(-1)
-        now = _eighths(positions[frame], matrix)
+        now = _drawing_coordinates(positions[frame], matrix)
         if "displacement" in self._result and arrow_scale:
             moved = self._result["displacement"].values[frame]
             shown = known & np.isfinite(moved).all(-1)
-            tips = _eighths(positions[frame] + arrow_scale * moved, matrix)
+            tips = _drawing_coordinates(positions[frame] + arrow_scale * moved, matrix)
             cv2.polylines(part, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
         lost = ~known & np.isfinite(positions[0]).all(-1)
-        for places, colour in ((now[known], TRACKED), (_eighths(positions[0], matrix)[lost], LOST)):
+        for places, colour in ((now[known], TRACKED), (_drawing_coordinates(positions[0], matrix)[lost], LOST)):
             for place in places.tolist():
                 cv2.circle(part, place, 10, colour, -1, cv2.LINE_AA, 3)
 
 
-def _eighths(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return positions (N, 2) in eighths of a pixel, the precision of OpenCV's drawing; arbitrary where unknown."""
+def _drawing_coordinates(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Convert positions (N, 2) from mm on the glass to integers in 1/8 px for OpenCV; arbitrary where NaN."""
     return np.round(np.nan_to_num(in_pixels(millimetres, matrix)) * 8).astype(np.int32)

@@ -145,6 +145,9 @@ def _column(kind: Column, value: Any) -> str | int | tuple[str | int, ...]:
 def _each(kind: Each, value: Any) -> float | tuple[float, ...]:
     if isinstance(value, list) and value:
         return tuple(_one_of(kind, item) for item in value)
+    if not isinstance(value, int | float):
+        one, example = ("1, -1", "[-1, 1]") if kind.among else ("a number", "[2.5, 4]")
+        raise WrongValue(f"it should be {one} or a list with one for each channel, such as {example}")
     return _one_of(kind, value)
 
 

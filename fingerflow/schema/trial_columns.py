@@ -5,6 +5,7 @@ moment. `_std` is its standard deviation.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from fingerflow.schema.variable_record import MICROMETRE, Variable
@@ -112,6 +113,14 @@ NUMBERS: dict[str, Variable] = {
         ),
     )
 }
+#: Added when the table is written, of trials that name the reference they were compared with.
+DIFFERENCE = "_difference"
+DIFFERENCES: dict[str, Variable] = {
+    f"{one}{DIFFERENCE}": replace(
+        NUMBERS[one], name=f"{one}{DIFFERENCE}", long_name=f"{NUMBERS[one].long_name}; less that of the reference"
+    )
+    for one in (*(one.name for one in _OF_TRIAL), *(one.name for one in AT_MOMENTS))
+}
 #: Other columns of a trial.
 FACTS: dict[str, Variable] = {
     name: Variable(name, _TRIAL, "1", said)
@@ -126,4 +135,4 @@ FACTS: dict[str, Variable] = {
         "result": "file of the result, relative to the study",
     }.items()
 }
-OF_RESULTS = frozenset((*NUMBERS, *FACTS)) - {"recording"}
+OF_RESULTS = frozenset((*NUMBERS, *DIFFERENCES, *FACTS)) - {"recording"}

@@ -5,7 +5,9 @@ Only the standard library is imported, because an exported bundle contains this 
 """
 
 from collections.abc import Iterable
+from math import pi
 from operator import truediv
+from typing import Any
 
 from fingerflow.schema.variable_record import (
     MICROJOULE,
@@ -44,6 +46,15 @@ _STRAIN_EQUATION = (
 )
 _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
+
+def _gross_area_std(semi_axes: Any) -> Any:
+    """Return the standard deviation, mm^2, of the gross areas of ellipses with semi-axes (frames, 2) mm.
+
+    The constants are measured on presses through real prints (docs/methods/contact.md).
+    """
+    return ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2) ** 0.5
+
+
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
 #: Status of a frame; only usable frames have results.
@@ -55,7 +66,7 @@ SATURATED_SHARE = 0.5  # of the blocks at the highest grey level; a frame above 
 FRAME_CHECK = (
     Variable(
         "frame_status", FRAME, "1", "whether a frame is a picture of the trial; where it is not, results are NaN",
-        "u1", equation="by light, saturation and distance of each frame from those before and after",
+        "u1", equation="by light, saturation, copies and distance of each frame from those before and after",
         flags=FRAME_STATUS,
     ),
 )
@@ -98,7 +109,14 @@ CONTACT = (
     ),
     Variable(
         "gross_contact_area", FRAME, "mm2", "apparent (gross) contact area, that of the region which the contact spans",
-        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as inside",
+        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim",
+    ),
+    Variable(
+        "gross_contact_area_std", FRAME, "mm2", "standard deviation of the gross contact area, by the ridge spacing",
+        equation="σ² = (b p)² + c², p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, b = 0.015 mm of the border as "
+        "a whole, c = 0.15 mm², about the square of a ridge spacing",
+        formula=_gross_area_std, of=("ellipse_semi_axes",),
+        label="standard deviation of the gross contact area",
     ),
     Variable(
         "contact_area_ratio", FRAME, "1", "real over gross contact area",

@@ -1,1 +1,1 @@
-"""Studies of many recordings: manifest, runs on Dask, table of trials, averaged curves, statistics and index page."""
+"""Studies of many recordings: manifest, runs on Dask, table of trials, mean curves, statistics and web page."""

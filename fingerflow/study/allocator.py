@@ -1,4 +1,4 @@
-"""Setting of the C library's memory allocator so that freed memory stays with the process."""
+"""Keep freed memory in the process by setting thresholds of the C library's allocator."""
 
 import ctypes
 import platform
@@ -9,7 +9,7 @@ _KEPT = 256 << 20  # bytes of free memory kept at the end of a heap
 
 
 def keep_memory() -> None:
-    """Let this process reuse freed memory, up to a few hundred MB, instead of returning it to the system.
+    """Keep up to a few hundred MB of freed memory in this process for reuse instead of returning it to the system.
 
     Dask starts workers with MALLOC_TRIM_THRESHOLD_=65536. Each array above 128 kB is then mapped again and its pages
     are cleared by the system at the first touch, 600 of them per frame. Without the GNU C library nothing is done.

@@ -27,7 +27,7 @@ _SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
 
 @dataclass(frozen=True)
 class InputFile:
-    """Input file or folder of a trial, with size, time and digest of its content.
+    """Size, modification time and content digest of an input file (or folder) of a trial.
 
     Attributes:
         path: as it was found.
@@ -44,13 +44,13 @@ class InputFile:
 
     @property
     def whole(self) -> bool:
-        """Return True if the digest covers all bytes of the file, rather than samples."""
+        """Return True if the digest covers all bytes of the file, False if only samples of a large file."""
         return self.size <= _WHOLE_BYTES
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Cache keys of a trial: digests on which result and table row depend, and `inputs` by key of the scene file."""
+    """Cache keys of a trial: digests for result and table row, and the input files by key of the scene file."""
 
     result: str
     row: str
@@ -63,14 +63,14 @@ class Keys:
         return cls(found["result"], found["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
-        """Return those keys of the scene whose input files have changed, or may have changed."""
+        """Return the scene keys whose input files changed, or may have changed, between these cache keys and `now`."""
         names = dict.fromkeys((*self.inputs, *now.inputs))
         both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
 
 
 def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
-    """Compute the cache keys of a trial from its present files, settings and code.
+    """Compute the cache keys of a trial from its current input files, settings and code version.
 
     A file that `earlier` lists with the same size and modification time is not read again.
 
@@ -83,15 +83,15 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     paths = {str(path) for path in scene.files()[1:]}
     values = dict(flattened(settings))
     named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
-    inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
+    inputs = {name: describe_file(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
     # Files count by their content, not by their names.
     values |= {name: [one.size, one.digest] for name, one in inputs.items()}
     result = digest_of(values, code_of("result"))
     return Keys(result, digest_of(result, code_of("row")), inputs)
 
 
-def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return size, time and digest of an input file or folder; a digest is reused if size and time are unchanged."""
+def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
+    """Return size, time and digest of a file or folder, taking `earlier.digest` if size and time are equal."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(one, one.stat()) for one in _files_of(file)]
@@ -107,19 +107,19 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if a file is unchanged by its digest, and also by its time if only samples were digested."""
+    """Return True if size and digest are equal, and, for a digest of samples only, also the modification time."""
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 
 
 def all_codes() -> dict[str, str]:
-    """Return the digests of the code that computes results and of the code that computes table rows, by name."""
+    """Return digests of the source code that computes results and of that which computes table rows, by name."""
     return {part: code_of(part) for part in _PARTS}
 
 
 @cache
 def code_of(part: str) -> str:
-    """Return a digest of the code that computes a part of a trial, "result" or "row"."""
+    """Return a digest of the source code that computes "result" or "row" of a trial."""
     if part == "result":
         return code_version()
     return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
@@ -134,7 +134,7 @@ def _files_of(file: Path) -> list[Path]:
 
 
 def _content(file: Path, size: int) -> Iterator[bytes]:
-    """Yield name and size of a file, then all of its bytes or, for a large file, samples."""
+    """Yield name and size of a file as bytes, then its content; of a large file only evenly spaced samples."""
     yield f"{file.name} {size} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 
 class Interrupted(Exception):
-    """Raised after Ctrl-C or the loss of the scheduler; the message says which, and what to do."""
+    """Interruption of a run by Ctrl-C or by loss of the scheduler; the message states the cause and what to do."""
 
 
 def cores() -> int:
@@ -35,7 +35,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def over_workers(
+def run_on_workers(
     act: Callable[[Task], Result],
     tasks: Iterable[tuple[str, Task]],
     count: int,
@@ -45,7 +45,7 @@ def over_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Run tasks on the workers of a cluster, and yield their results in order of completion.
+    """Run a function on tasks, on the workers of a cluster, and yield the results as they complete.
 
     Args:
         act: function of a module that a worker runs.
@@ -74,12 +74,12 @@ def over_workers(
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """Return the number of workers to start: as requested, else one per core; at most one per task."""
+    """Return the number of workers to start: the requested number or one per core, but at most one per task."""
     return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
-    """Return the number of threads per worker: this computer's cores shared among workers, or one on a cluster."""
+    """Return the number of threads per worker: an equal share of this computer's cores, or 1 on a remote cluster."""
     return max(1, cores() // workers) if scheduler is None else 1
 
 
@@ -100,8 +100,8 @@ def _go_through(
         return future
 
     try:
-        with _interrupt_once(), _Workers(client) as workers:
-            waiting = as_completed([submit(*one) for one in islice(tasks, workers.room())])
+        with _interrupt_on_sigterm(), _Workers(client) as workers:
+            waiting = as_completed([submit(*one) for one in islice(tasks, workers.capacity())])
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
@@ -110,7 +110,7 @@ def _go_through(
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
-                for one in islice(tasks, max(0, workers.room() - len(names))):
+                for one in islice(tasks, max(0, workers.capacity() - len(names))):
                     waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
@@ -124,7 +124,7 @@ def _go_through(
 
 
 class _Workers:
-    """Counter of the workers of a cluster, whose number may change during a run.
+    """Tracker of the number of worker threads in a cluster, which may change during a run.
 
     A cluster without workers may still get some: the run then waits, with a warning.
     """
@@ -140,8 +140,8 @@ class _Workers:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
 
-    def room(self) -> int:
-        """Return how many tasks may be submitted to the workers at a time."""
+    def capacity(self) -> int:
+        """Return the number of tasks that may be queued on the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
     def _look(self) -> None:
@@ -162,7 +162,7 @@ class _Workers:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
-    """Yield a client of a cluster, and close both at the end; a scheduler that was already running is not stopped."""
+    """Yield a Dask client, closed at the end with the cluster; a scheduler that ran before keeps running."""
     try:
         import dask
         from distributed import Client, LocalCluster, Security
@@ -201,7 +201,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
-                    _load_once()
+                    _preload_modules()
                     # A scheduler runs what it is sent: without a certificate, which only this process and its workers
                     # have, every user of this computer could run commands as the one who started the study.
                     security = Security.temporary()
@@ -230,8 +230,8 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 cluster.close(timeout=10)
 
 
-def _load_once() -> None:
-    """Make workers fork from one process with all modules imported, as imports in each worker would take seconds."""
+def _preload_modules() -> None:
+    """Preload modules in the process from which workers are forked, so that each worker does not import them again."""
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
@@ -251,8 +251,8 @@ def _deployment(name: str) -> Callable[[], Any]:
 
 
 @contextmanager
-def _interrupt_once() -> Iterator[None]:
-    """Context manager in which SIGTERM ends a run as Ctrl-C does."""
+def _interrupt_on_sigterm() -> Iterator[None]:
+    """Provide a context in which SIGTERM raises KeyboardInterrupt, as Ctrl-C does."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt

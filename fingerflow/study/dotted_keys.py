@@ -1,11 +1,11 @@
-"""Conversion between tables of scene files and flat values with dotted keys, such as `tracking.points`."""
+"""Conversion between nested tables of scene files and flat dictionaries with dotted keys, such as `tracking.points`."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 
 def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested tables with dotted keys, such as `tracking.points`."""
+    """Yield the values of nested tables as pairs (dotted key, value), such as ("tracking.points", 200)."""
     for name, value in tables.items():
         if isinstance(value, Mapping):
             yield from flattened(value, f"{place}{name}.")
@@ -14,7 +14,7 @@ def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str,
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested tables built from values with dotted keys."""
+    """Return nested tables built from a flat dictionary with dotted keys."""
     tables: dict[str, Any] = {}
     for dotted, value in values.items():
         place = tables

@@ -13,7 +13,7 @@ from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
 from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, finished_beside
+from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
@@ -33,7 +33,7 @@ _MOST_NAMED = 12  # most conditions in a legend
 
 
 class Figured(NamedTuple):
-    """Outcome for one figure: name, file that a page can show ("" if not drawn), caption, and what was left out."""
+    """Outcome for one figure of a study: name, image file ("" if not drawn), caption, and panels left out."""
 
     name: str
     file: str
@@ -49,7 +49,7 @@ def write_figures(
     design: str = FORCED_CHOICE,
     files: FigureFiles = PNG,
 ) -> list[Figured]:
-    """Write the figures of a study and their captions, and return the outcome for each.
+    """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
     Args:
         frame: the table of trials.
@@ -84,7 +84,7 @@ def write_figures(
         ]
         drawn = {letter: metric for letter, metric in _CURVES.get(name, ()) if (curves["metric"] == metric).any()}
         panels += [_curve_panel(letter, curves, metric) for letter, metric in drawn.items()]
-        left_out = [said for said in sheet.left_out if not _about(said, drawn)]
+        left_out = [said for said in sheet.left_out if not _is_replaced(said, drawn)]
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
             written.append(Figured(name, "", "", tuple(left_out)))
@@ -120,7 +120,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
         f"{int(own.groupby('condition')['trials'].max().sum())} trials."
     )
     named = bool(axes.get_legend_handles_labels()[0])
-    return finished_beside(axes, AMPLITUDE, caption) if named else finished(axes, caption)
+    return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)
 
 
 def _named(condition: object) -> str:
@@ -131,7 +131,7 @@ def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
     return SheetPanel(letter, lambda part: draw_curves(part.subplots(), curves, metric))
 
 
-def _about(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if all panels that a sentence calls missing are drawn as curves of the study instead."""
+def _is_replaced(said: str, drawn: Mapping[str, str]) -> bool:
+    """Return True if every panel that a sentence reports as missing is drawn as a curve of the study instead."""
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

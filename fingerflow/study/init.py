@@ -31,7 +31,7 @@ _GUESSES = {
 
 
 class FoundFiles(NamedTuple):
-    """Outcome of `init_study`: written manifest and table, number of trials, and what the user has to fill in."""
+    """Outcome of `init_study`: paths of manifest and table, number of trials, and entries to complete by hand."""
 
     manifest: Path
     table: Path
@@ -40,7 +40,7 @@ class FoundFiles(NamedTuple):
 
 
 def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
-    """Write `study.toml` and `trials.csv` for the recordings found in a folder.
+    """Find the recordings in a folder, and write a manifest `study.toml` and a table `trials.csv` for them.
 
     If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
     columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared
@@ -62,9 +62,10 @@ def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
     rows, shared = _of_scenes(folder, scenes) if scenes else _of_recordings(folder, files)
     if answers is not None:
-        for row, known in zip(rows, matching(rows, answers), strict=True):
+        found = matching(rows, answers)
+        for row, known in zip(rows, found, strict=True):
             row.update({name: value for name, value in known.items() if value})
-        if not any(row.get(ANSWER) for row in rows):
+        if not any(found):
             example = read_rows(answers)[0]
             raise FingerflowError(
                 f"{answers}: none of its trials is one of {folder}, such as participant {rows[0].get(PARTICIPANT)!r}, "
@@ -142,7 +143,7 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
 
 
 def _holds_frames(file: Path) -> bool:
-    """Return True if an HDF5 file holds frames; it may hold forces instead."""
+    """Return True if an HDF5 file contains a stack of images, rather than forces."""
     from fingerflow.recordings import open_recording
 
     try:
@@ -163,7 +164,7 @@ def _guessed(place: Path) -> dict[str, str]:
 
 
 def _type_of(dotted: str) -> Any:
-    """Return the type of a key of the scene; None if no such key exists."""
+    """Return the type of a scene key given with dots, such as `tracking.points`; None if there is no such key."""
     found: SceneKey | SceneTable | None = SceneTable(SCENE)
     for part in dotted.split("."):
         found = found.keys.get(part) if isinstance(found, SceneTable) else None
@@ -183,12 +184,12 @@ results = "results"           # where results, the table of trials and the pages
     return (
         head
         + "# To be filled in: what a scene file has, for all trials.\n"
-        + _under_scene(scene_text(forces="of-each-trial.csv"))
+        + _as_scene_tables(scene_text(forces="of-each-trial.csv"))
     )
 
 
-def _under_scene(text: str) -> str:
-    """Convert the text of a scene file to tables below [scene], without keys that each trial sets itself."""
+def _as_scene_tables(text: str) -> str:
+    """Rewrite a scene file's text as tables below [scene] in a manifest, without keys that each trial sets itself."""
     lines = []
     for line in text.splitlines()[2:]:
         if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):

@@ -1,9 +1,10 @@
-"""Manifest of a study, `study.toml`: recordings, the scene that they share, and what is known about each trial."""
+"""Manifest of a study, `study.toml`: recordings, shared scene settings, and a table of trials."""
 
 import difflib
 import os
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,7 @@ from fingerflow.study.dotted_keys import nested
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
     "recording", "forces", "participant", "trial", "condition", "answer",
 )  # fmt: skip
+REFERENCE = "reference"  # column: trial of the same participant that a trial was compared with
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
@@ -30,7 +32,7 @@ _MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
 
 @dataclass(frozen=True)
 class TrialEntry:
-    """One trial of a study: a row of the table of trials in the manifest.
+    """One trial of a study: a row of the table of trials.
 
     Attributes:
         name: of its folder among the results, unique in the study.
@@ -53,7 +55,7 @@ class TrialEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Manifest of a study; `shared` is the scene of all trials as parsed from TOML, whose keys a trial may replace."""
+    """Manifest of a study; `shared` holds the scene settings of all trials, which each trial may override."""
 
     path: Path
     results: Path
@@ -62,17 +64,17 @@ class Manifest:
     design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; raise FingerflowError with row, key, value and remedy if it is invalid."""
+        """Return the scene of a trial; if it is invalid, raise FingerflowError with row, key, value and remedy."""
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
     def by_name(self) -> dict[str, TrialEntry]:
-        """Return the trials by name, which is also the name of their folder."""
+        """Return the trials by name; the results of a trial are in a folder of that name."""
         return {entry.name: entry for entry in self.trials}
 
 
 def load_manifest(path: str | Path) -> Manifest:
-    """Read `study.toml` and its table of trials, a CSV file or a pattern over file names.
+    """Read a manifest `study.toml` and its trials, listed in a CSV file or found by a file-name pattern.
 
     ::
 
@@ -86,7 +88,8 @@ def load_manifest(path: str | Path) -> Manifest:
         [scene.views.contact]             # and so on: what a scene file has, for all trials
         ...
 
-    A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial.
+    A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial; a column
+    `reference` names the trial of the same participant that a trial was compared with.
 
     Raises FingerflowError for a file that is missing or not TOML, an unknown key or column, an incomplete row
     or a duplicate one; the message names the row.
@@ -131,12 +134,12 @@ def load_manifest(path: str | Path) -> Manifest:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, with slashes, even if the path lies outside that folder."""
+    """Return a path relative to a folder, with forward slashes, even if the path lies outside that folder."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each trial the row of a file of answers with its participant and trial number; {} if there is none.
+    """Return for each trial the row of the answers file with equal participant and trial number; {} if there is none.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -160,7 +163,7 @@ def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
 
 
 def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return one row for each file name that matches a pattern with names in braces, sorted by file name."""
+    """Return the values of the names in braces for each file that matches a pattern, sorted by file name."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -212,6 +215,14 @@ def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple
             )
         names[entry.name] = place
         found.append(entry)
+    trials = Counter((entry.participant, entry.trial) for entry in found)
+    for entry in found:
+        named = entry.others.get(REFERENCE)
+        if named and (count := trials[entry.participant, named]) != 1:
+            wrong.append(
+                f"{entry.place}: reference is {named!r}, and {count} trials of participant {entry.participant} have "
+                f"that number; name one"
+            )
     if wrong:
         more = len(wrong) - _MOST_SHOWN
         raise FingerflowError(
@@ -235,7 +246,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
-        name="_".join(_safe(part) for part in parts),
+        name="_".join(_file_name(part) for part in parts),
         place=place,
         participant=row[PARTICIPANT],
         trial=trial,
@@ -247,7 +258,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
 
 
 def _check_key(dotted: str, place: str) -> None:
-    """Check that a column names a key of the scene, else raise FingerflowError; keys below `views` always pass."""
+    """Raise FingerflowError if a dotted column name is no key of scene files; keys in `views` are not checked."""
     known: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
@@ -259,15 +270,15 @@ def _check_key(dotted: str, place: str) -> None:
 
 
 def _value(cell: str) -> Any:
-    """Parse a cell of the table as a TOML value (number, list, true or false); any other cell is text."""
+    """Parse a cell of the table of trials as a TOML value; a cell that is no TOML value stays text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
     except tomllib.TOMLDecodeError:
         return cell
 
 
-def _safe(text: str) -> str:
-    """Return a file name for a text: characters other than letters, digits, dots and dashes are escaped uniquely."""
+def _file_name(text: str) -> str:
+    """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
     return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
 
 

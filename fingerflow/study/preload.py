@@ -1,4 +1,4 @@
-"""Imports that are loaded once, in the process from which workers are forked.
+"""Modules that are imported once, in the process from which workers are forked.
 
 Importing creates no garbage, and searching for it takes a quarter of the time. The garbage collector is therefore off
 during the imports. Afterwards the imported objects are frozen: they are not searched again and stay shared in memory.

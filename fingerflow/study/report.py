@@ -1,4 +1,4 @@
-"""Index page of a study: all trials with thumbnails and reports, figures and statistics."""
+"""Web page of a study: trials with thumbnails and links to their reports, figures and statistics."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from fingerflow.results.result import load_result, open_result
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
-from fingerflow.study.cluster import over_workers
+from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.statistics import sample_of, statistics_of
@@ -39,7 +39,7 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Largest deviation of a trial from its condition, in robust standard deviations, and the metric that deviates."""
+    """Metric in which a trial deviates most from its condition, and the deviation in robust standard deviations."""
 
     deviations: float
     metric: str
@@ -52,8 +52,7 @@ def write_study_report(
     progress: bool = True,
     figure_files: FigureFiles = PNG,
 ) -> Path:
-    """Write `index.html`, `statistics.json` and `figures` of a study into its results folder, and the report of each
-    trial.
+    """Write the page of a study (`index.html`), `statistics.json`, figures, and a report of each trial.
 
     Reports and thumbnails newer than the row of their trial are kept; workers write the others, as in
     `run_study`. Figures and statistics use the table alone.
@@ -70,7 +69,7 @@ def write_study_report(
     def of_error(name: str, error: BaseException) -> str:
         return f"{name}: {error}"
 
-    written = over_workers(
+    written = run_on_workers(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
     failed = [said for said in written if said]
@@ -99,13 +98,13 @@ def write_study_report(
 
 
 def _with_interval(value: float, interval: Sequence[float | None]) -> str:
-    """Return an estimate and its interval as text; None, as in JSON, is not known."""
+    """Return an estimate and its interval as text; an unknown number is None, as read from JSON."""
     low, high = (math.nan if limit is None else limit for limit in interval)
     return with_interval(value, low, high)
 
 
 def write_page(manifest: Manifest) -> str:
-    """Write `report.html` and `thumbnail.jpg` of the only trial of a manifest; return an error, "" on success."""
+    """Write the report and thumbnail of a manifest with one trial; return an error message, or "" on success."""
     (entry,) = manifest.trials
     folder = manifest.results / entry.name
     stored = read_row(folder)
@@ -121,7 +120,7 @@ def write_page(manifest: Manifest) -> str:
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """Return for each trial the metric that deviates most from the median of its condition, and by how much.
+    """Return for each trial the metric that deviates most from the median of its condition, with the deviation.
 
     The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """
@@ -161,7 +160,7 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
 
 
 def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
-    """Return the entries of the trials on the page: failed trials first, then by decreasing outlier distance."""
+    """Return the entries of the trials for the page: failed trials first, then by decreasing deviation."""
     rows = []
     for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name

@@ -45,7 +45,7 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Compute the row of a trial (`columns.NUMBERS` and `FACTS`) from its result, and its curves on `FORCE_GRID`.
+    """Return the table row of a trial (`columns.NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
 
     None means unknown: not measured, its moment did not occur, or a frame there is not usable.
 
@@ -55,7 +55,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
     """
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
-    row |= trial.of_the_whole()
+    row |= trial.trial_numbers()
     for name, _, _, has_std, largest, _ in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
         if series is None:
@@ -73,7 +73,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial by column name, and the moments at which the row of the trial states values."""
+    """Time series of a trial, and the frames (onset, largest force, last contact) at which the row states values."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -85,7 +85,7 @@ class _Trial:
         touching = np.flatnonzero(np.nan_to_num(self._gross) > 0) if self._gross is not None else np.empty(0, int)
         self.onset = int(touching[0]) if len(touching) else None
         self.last = int(touching[-1]) if len(touching) else None
-        self.top = self._most()
+        self.top = self._peak_frame()
         self.series = self._series()
         self.moments = self._moments()
 
@@ -100,8 +100,8 @@ class _Trial:
         values[~self._usable] = np.nan
         return values
 
-    def _most(self) -> int | None:
-        """Return the frame of the largest force during contact; without forces, of the largest apparent contact."""
+    def _peak_frame(self) -> int | None:
+        """Return the frame of the largest normal force during contact; without forces, of the largest contact area."""
         by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
         if by is None or self.onset is None or self.last is None:
             return None
@@ -156,7 +156,7 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the moment between contact onset and largest force at which the normal force first reaches `force`."""
+        """Return the interpolated moment at which the normal force first reaches `force`; None if it never does."""
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -175,19 +175,19 @@ class _Trial:
         return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return a series at the forces of `FORCE_GRID`, None where not reached; None if nothing is known."""
+        """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if it is unknown."""
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """Return the largest value of a series, from the onset of contact to the last frame with contact."""
+        """Return the largest value of a series between onset and end of contact."""
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]
         return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
 
-    def of_the_whole(self) -> dict[str, float]:
-        """Return numbers that describe the whole trial, such as its duration, rather than a moment."""
+    def trial_numbers(self) -> dict[str, float]:
+        """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
         found: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:
             return found
@@ -234,7 +234,7 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return the columns that are not numbers with a unit: counts, warnings and verdict."""
+        """Return the columns that are not measured quantities: numbers of frames, warnings and verdict on slip."""
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

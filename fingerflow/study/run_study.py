@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, keys_of
-from fingerflow.study.cluster import Interrupted, over_workers, threads_each, workers_for
+from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
@@ -17,7 +17,7 @@ _TOGETHER = 8  # trials batched on an accelerator
 
 @dataclass(frozen=True)
 class Planned:
-    """Trial that must run: from which part on ("result" or "row"), and why."""
+    """Trial that must run, the part of it that is out of date ("result" or "row"), and the reason."""
 
     entry: TrialEntry
     redo: Part
@@ -26,7 +26,7 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a run: numbers of planned and skipped trials, outcome of each trial, reason for an interruption."""
+    """Outcome of a study run: numbers of planned and skipped trials, outcomes, and reason for an interruption."""
 
     planned: int
     skipped: int
@@ -50,7 +50,7 @@ class Summary:
 
 
 def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = False) -> list[Planned]:
-    """Return the trials without a result for their current inputs, settings and code, in the order of the manifest.
+    """Return the trials that lack a result for their current inputs, settings and code, in manifest order.
 
     Args:
         manifest: the study.
@@ -100,7 +100,7 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    together = _by_default(scheduler) if together is None else together
+    together = _default_group_size(scheduler) if together is None else together
     if together > 1 and scheduler is None:
         workers = workers or 1
     try:
@@ -123,7 +123,7 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Run trials in groups of at most ``size``, and yield the outcomes of each group.
+    """Run trials in groups that share a batch, at most ``size`` in each, and yield the outcomes of one group at a time.
 
     Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
     that was too small for all may suffice for one.
@@ -143,12 +143,12 @@ def _run_groups(
             return []
         return [_of_error(error, name, manifest)]
 
-    for outcomes in over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
+    for outcomes in run_on_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
         yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
 
 
-def _by_default(scheduler: str | None) -> int:
-    """Return the default number of trials per group: above 1 only for a GPU of this computer."""
+def _default_group_size(scheduler: str | None) -> int:
+    """Return the default number of trials per group: several on a GPU of this computer, else 1."""
     import torch
 
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
@@ -183,7 +183,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
 
 
 def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome for a trial that no worker could finish; raise FingerflowError if the worker is at fault."""
+    """Return the outcome of a trial that killed its worker or raised an error; raise a FingerflowError again."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -25,7 +25,7 @@ from fingerflow.models.observer import (
 )
 from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
 from fingerflow.schema.json_value import json_value
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.trial_files import MEASURED
 
 _FIRST = "divergence"  # the metric that the others are compared with
@@ -34,7 +34,7 @@ _LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force ra
 
 @dataclass(frozen=True)
 class Counted:
-    """Number of trials of a study, of those that each rule excludes, and of those used."""
+    """Numbers of trials: in the study, excluded by each rule, and used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -43,7 +43,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials that figures and statistics use; if `answered` is False, no answers exist and `answer` is meaningless."""
+    """Trials that figures and statistics use; if `answered` is False, `answer` holds no real answers."""
 
     trials: Trials
     answered: bool
@@ -64,7 +64,8 @@ def sample_of(frame: Any) -> Sample:
     own = frame[used]
     columns = {name: own[name].to_numpy() for name in ("participant", "trial", "condition")}
     columns["answer"] = own["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(own), bool)
-    metrics = {name: own[name].to_numpy(np.float64) for name in METRICS if name in own and own[name].notna().any()}
+    names = (*METRICS, *(f"{name}{DIFFERENCE}" for name in METRICS))
+    metrics = {name: own[name].to_numpy(np.float64) for name in names if name in own and own[name].notna().any()}
     rules = [(f"{name}, so nothing was measured", int((frame["status"] == name).sum()))
              for name in dict.fromkeys(frame["status"]) if name != MEASURED]  # fmt: skip
     if any_answer:
@@ -84,7 +85,9 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     - `observer`: d', area under the ROC, criterion for 75 % hits in `unit`, and their intervals by participant, without
       trials of fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same
       trials.
-    - `groups`: one or two groups of participants by their median divergence.
+    - `groups`: one or two groups of participants by their median divergence, or its difference.
+
+    Differences of a comparison from its reference are in `shares` and `groups` alone.
 
     Participants are the units of every interval and p. `p_holm` is p corrected for the metrics of its table (Holm
     1979). `by_answer`, `shares`, `force_rate` and `observer` exist only with answers.
@@ -93,7 +96,9 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         sample: of `sample_of`.
         resamples: of intervals and tests.
     """
-    trials = sample.trials
+    differences = sample.trials
+    values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
+    trials = replace(differences, metrics=values)
     found: dict[str, Any] = {
         "counted": asdict(sample.counted),
         "by_condition": _anovas(trials, trials.condition),
@@ -104,11 +109,11 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
                 if name in trials.metrics and _FIRST in trials.metrics
             }
         ),
-        "groups": _groups(trials, resamples),
+        "groups": _groups(differences, resamples),
     }
     if sample.answered:
         found["by_answer"] = _anovas(trials, trials.answer)
-        found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in trials.metrics.items()})
+        found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in differences.metrics.items()})
         found["force_rate"] = _of_force_rate(trials)
         found["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(found)
@@ -130,7 +135,7 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
 
 
 def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the fields of several statistical tests, with Holm-corrected p-values `p_holm`."""
+    """Return several statistical tests as dictionaries, each with its Holm-corrected p-value `p_holm`."""
     corrected = holm({name: test.p for name, test in tests.items()})
     return {name: {**asdict(test), "p_holm": corrected[name]} for name, test in tests.items()}
 
@@ -183,6 +188,7 @@ def _of_force_rate(trials: Trials) -> Any:
 def _groups(trials: Trials, resamples: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
-    names, medians = participant_medians(trials, _FIRST)
+    metric = f"{_FIRST}{DIFFERENCE}" if f"{_FIRST}{DIFFERENCE}" in trials.metrics else _FIRST
+    names, medians = participant_medians(trials, metric)
     groups = participant_groups(medians, resamples)
     return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

@@ -11,8 +11,8 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.spreadsheet_cell import quoted_cell
-from fingerflow.schema.trial_columns import FACTS, NORMALISED, NUMBERS
-from fingerflow.study.manifest import Manifest, TrialEntry, relative
+from fingerflow.schema.trial_columns import DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS
+from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, relative
 from fingerflow.study.row import CURVES, FORCE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
@@ -26,7 +26,7 @@ _MOST_MISSING = 0.5  # of a condition's trials: if fewer reach a force, their me
 
 @dataclass(frozen=True)
 class Tables:
-    """Paths of the files written by `write_tables`."""
+    """Paths of the four files written by `write_tables`."""
 
     trials: Path
     csv: Path
@@ -35,7 +35,7 @@ class Tables:
 
 
 def write_tables(manifest: Manifest) -> Tables:
-    """Write `trials.parquet` and `trials.csv` (a row per trial), `variables.csv` (column definitions) and `curves.csv`.
+    """Write a study's `trials.parquet` and `trials.csv` (row per trial), `variables.csv` and `curves.csv`.
 
     Every trial of the manifest has a row; a failed one has its reason and no numbers, one not yet run has neither.
 
@@ -53,11 +53,12 @@ def write_tables(manifest: Manifest) -> Tables:
     frame = pd.DataFrame(rows_of(manifest, stored))
     for name, values in normalised(frame).items():
         frame[name] = values
+    frame = pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
     paths = Tables(
         *(manifest.results / name for name in ("trials.parquet", "trials.csv", "variables.csv", "curves.csv"))
     )
     table = pa.Table.from_pandas(frame, preserve_index=False)
-    described = NUMBERS | FACTS
+    described = NUMBERS | FACTS | DIFFERENCES
     fields = [
         one.with_metadata({"units": described[one.name].units, "long_name": described[one.name].long_name})
         if one.name in described
@@ -78,7 +79,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per trial for the table: columns of the manifest, facts, then numbers with NaN for None."""
+    """Return one row per trial for the table: columns of the manifest, facts and numbers (None becomes NaN)."""
     numeric = _are_numbers([entry.condition for entry, _ in stored])
     rows = []
     for entry, found in stored:
@@ -107,7 +108,7 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return contact areas divided by their participant's median, by column; NaN if that median is 0 or unknown."""
+    """Return the contact areas of all trials, each divided by its participant's median; NaN where unknown."""
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -115,8 +116,22 @@ def normalised(frame: Any) -> dict[str, Any]:
     return found
 
 
+def differences(frame: Any) -> dict[str, Any]:
+    """Return the columns `DIFFERENCES`: value of a trial minus that of its reference; {} without references.
+
+    It is NaN for trials without reference, as the references themselves.
+    """
+    if REFERENCE not in frame or not frame[REFERENCE].any():
+        return {}
+    # A reference is the only trial of its number; no trial has an empty one, so trials without a reference find none.
+    own = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
+    places = list(zip(frame["participant"], frame[REFERENCE], strict=True))
+    numbers = [name.removesuffix(DIFFERENCE) for name in DIFFERENCES]
+    return {f"{name}{DIFFERENCE}": frame[name] - own[name].reindex(places).to_numpy() for name in numbers}
+
+
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per metric, condition and force: the mean over the participants.
+    """Return mean curves as rows: one row per metric, condition and force, averaged over participants.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force

@@ -1,4 +1,4 @@
-"""Execution of trials by a worker, which takes paths, writes to the trial's folder and returns a short outcome."""
+"""Execution of trials by a worker process, which writes results to the trial's folder and returns a short outcome."""
 
 import errno
 import gc
@@ -23,7 +23,7 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
-from fingerflow.study.cache_keys import Keys, all_codes, code_of, keys_of, look_at
+from fingerflow.study.cache_keys import Keys, all_codes, code_of, describe_file, keys_of
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
@@ -34,7 +34,7 @@ _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarra
 
 @dataclass(frozen=True)
 class Job:
-    """Trial of a study that a worker has to run.
+    """Trial to be run by a worker, with the settings that it needs.
 
     Attributes:
         manifest: of this trial alone.
@@ -51,7 +51,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a trial's job: status, reason, and share of the processor time (s) of the batch."""
+    """Outcome of one trial: status, reason for a failure, and the trial's share of the batch's processor time (s)."""
 
     name: str
     status: str
@@ -61,7 +61,7 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process several trials in one batch, and write the row of each, or the reason for its failure.
+    """Process several trials in one batch, write the table row of each, and return their outcomes.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
@@ -69,14 +69,14 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial as a generator of steps, which alternate with the steps of other trials in a batch."""
+    """Process one trial as a generator, which pauses so that the steps of several trials can share a batch."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
             f"the same version of fingerflow on both"
         )
-    _settle(job.threads)
+    _set_up_worker(job.threads)
     started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
     (entry,) = job.manifest.trials
     folder = job.manifest.results / entry.name
@@ -98,12 +98,12 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             # Overwrite: an existing file of this name may be damaged and not be recognised as a result.
             yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
             row, curves = measure(read_own(path, READ, DESCRIBED))
-        content = replace(look_at(path), path=path.name)
+        content = replace(describe_file(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
     except Exception as error:
-        unexpected = not isinstance(error, FingerflowError) and not _is_passing(error)
+        unexpected = not isinstance(error, FingerflowError) and not _is_transient(error)
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
-        trial = TrialRow(FAILED, reason, _is_passing(error), keys)
+        trial = TrialRow(FAILED, reason, _is_transient(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
     cpu_seconds = (time.process_time() - cpu) / together
     made = {
@@ -125,14 +125,14 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Return True if a stored row and its result are valid for the trial's present inputs, settings and code."""
+    """Return True if the stored row and result of a trial match its current inputs, settings and code."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)
 
 
-def _is_passing(error: BaseException) -> bool:
-    """Return True if an error is transient, such as lack of memory, so that the same trial may succeed another time."""
+def _is_transient(error: BaseException) -> bool:
+    """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
     return any(
         isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
         or (isinstance(one, OSError) and one.errno in _PASSING)
@@ -148,8 +148,8 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 @cache
-def _settle(threads: int) -> None:
-    """Set the threads and memory allocator of a worker, once, and exclude loaded objects from garbage collection."""
+def _set_up_worker(threads: int) -> None:
+    """Set threads and memory allocator of a worker, and exempt loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     keep_memory()

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.study.cache_keys import InputFile, Keys, look_at
+from fingerflow.study.cache_keys import InputFile, Keys, describe_file
 
 _DIGEST = "digest"  # of the rest of `row.json`: a number corrupted on disk must not get into the table
 MEASURED, FAILED = "measured", "failed"
@@ -18,7 +18,7 @@ Part = Literal["everything", "changed", "row"]
 
 @dataclass(frozen=True)
 class TrialRow:
-    """Record of a trial that was run, as stored in `row.json`.
+    """Stored outcome of a trial (file `row.json`): status, cache keys, numbers and curves.
 
     Attributes:
         status: "measured" or "failed".
@@ -43,23 +43,23 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """Return the file name of a trial's result, made from a cache key that differs between settings."""
+    """Return the file name of a trial's result, which contains a cache key and so depends on the settings."""
     return f"result-{keys.result}.h5"
 
 
 def has_result(folder: Path, trial: TrialRow) -> bool:
-    """Return True if the result file named in a row exists and is unchanged since it was written."""
+    """Return True if the result file that a row names exists and was not modified since it was written."""
     if trial.result is None or trial.content is None:
         return False
     try:
-        now = look_at(folder / trial.result, trial.content)
+        now = describe_file(folder / trial.result, trial.content)
     except FingerflowError:
         return False
     return (now.size, now.digest) == (trial.content.size, trial.content.digest)
 
 
 def write_row(folder: Path, trial: TrialRow) -> None:
-    """Write `row.json` of a trial, and remove result files that it does not name."""
+    """Write `row.json` of a trial, and delete result files other than the one it names."""
     content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
     write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))

@@ -3,6 +3,7 @@
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
+from fingerflow.synthetic.linear_slip import LinearSlip
 from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.press import Press
@@ -19,6 +20,7 @@ __all__ = [
     "ChainPress",
     "Ellipse",
     "FingerprintTexture",
+    "LinearSlip",
     "Medians",
     "PartialSlip",
     "PictureTexture",

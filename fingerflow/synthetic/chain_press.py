@@ -1,8 +1,8 @@
 """Synthetic press of a fingertip simulated by the skin chain, so that the spread of the skin depends on friction."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 _TIMES = 257  # times of the chain during the rise
+_PATH_S = 1.5  # rise time of a path that several presses share: the printed mean time to the peak
 _KNOTS = 32  # intervals of the splines in time; they smooth the growth of contact by elements
 _RADII = 96  # intervals of the spline from the axis to the side of the finger
 _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible from below
@@ -29,17 +30,24 @@ class ChainPress(SyntheticScene):
     """Synthetic press whose skin moves as a skin chain turned about its axis, under a force that rises and is then
     held.
 
-    Contact is a disc and displacement is radial; both are those of the chain. The state at the end of the rise
-    persists. Settings that all scenes share are those of `SyntheticScene`.
+    Contact is a disc and displacement is radial; both are those of the chain. While the force is held they persist, and
+    disc and skin may shift as a whole. Progress is 1 at the end of the rise and 2 in the last frame. Settings that all
+    scenes share are those of `SyntheticScene`.
 
     Args:
         friction: coefficient between skin and glass.
         parameters: of the chain, "paper" or "lab"; the contact with "lab" is half as large.
         softness: divisor of the parameters' stiffnesses.
-        force: at the end, N.
+        force: at the end of the rise, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.
+        steady: whether the force rises at a constant rate, else as sin².
+        relaxation: share of the force that is lost, evenly, from the end of the rise to the last frame; the skin stays.
+        drag: tangential force as a share of the normal force.
+        shift: displacement (x, y) in mm of disc and skin from the end of the rise to the last frame.
         elements: of the chain.
+        path_force: force in N to which the chain is simulated, in 1.5 s; that of the press where None, in its time.
+            Presses of one skin, friction and path share one simulation: a chain's motion is quasi-static.
     """
 
     friction: float = 0.2
@@ -48,15 +56,23 @@ class ChainPress(SyntheticScene):
     force: float = 5.0
     contact_time: float = 0.02
     rise_time: float = 0.9
+    steady: bool = False
+    relaxation: float = 0.0
+    drag: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
     elements: int = 1001
+    path_force: float | None = None
 
-    @cached_property
+    def __post_init__(self) -> None:
+        if self.path_force is not None and self.path_force < self.force:
+            raise ValueError(f"path_force is {self.path_force:g} N, below the {self.force:g} N of the press")
+
+    @property
     def chain(self) -> Chain:
-        """Return the simulated skin chain at evenly spaced times from first contact to full force."""
-        time = torch.linspace(0, self.rise_time, _TIMES, dtype=torch.float64)
-        load = torch.from_numpy(self.normal_force(time.numpy() + self.contact_time))
-        skin = named(self.parameters).softer(self.softness)
-        return follow(self.friction, time, load, parameters=skin, elements=self.elements)
+        """Return the simulated skin chain at evenly spaced times from first contact to the full force of its path."""
+        return pressed_chain(
+            self.friction, self.parameters, self.softness, self._path_force, self._path_time, self.elements
+        )
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
@@ -65,66 +81,138 @@ class ChainPress(SyntheticScene):
 
     def chain_at(self, values: Tensor) -> Array:
         """Interpolate values (T,) at the chain's simulated times to the times of the frames; NaN before contact."""
-        share = self.progress(self.times)
+        share = np.minimum(self.progress(self.times), 1) * self._end
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
     @cached_property
     def motion(self) -> "RadialMotion":
-        x = 1e3 * (self.chain.position[..., 0] - self.chain.position[..., 0].flip(-1)).numpy() / 2
-        undeformed = x[0]
-        seen = np.abs(undeformed) <= _SIDE * undeformed[-1]
-        side = float(x[:, seen][:, -1].min())
-        radius = np.linspace(0, side, _RADII + 1)
-        share = np.empty((_TIMES, _RADII + 1))
-        for row, place in zip(share, x, strict=True):
-            moved = CubicSpline(place[seen], (place - undeformed)[seen])
-            row[0], row[1:] = moved(0.0, 1), moved(radius[1:]) / radius[1:]
-        square = (500 * self.chain.contact_length.numpy()) ** 2
-        return RadialMotion(self.contact_centre, side, _coefficients(_evened(share)), _coefficients(_evened(square)))
+        path = self.friction, self.parameters, self.softness, self._path_force, self._path_time, self.elements
+        return replace(_radial_motion(*path), centre=self.contact_centre, shift=self.shift, end=self._end)
 
     def progress(self, time: Array) -> Array:
-        return np.clip((time - self.contact_time) / self.rise_time, 0, 1)
+        share = self._share_of_rise(time)
+        if self.steady:
+            share = _progress_at(share * self.force / self._path_force) / self._end
+        elif self._end < 1:
+            share = _progress_at(force_share(share) * self.force / self._path_force) / self._end
+        return np.asarray(np.minimum(share, 1.0) + self._held(time))
 
     def time_of(self, progress: Array) -> Array:
-        return self.contact_time + self.rise_time * progress
+        rise = np.minimum(progress, 1.0)
+        risen = force_share(rise * self._end) * self._path_force / self.force
+        share = np.where(rise < 1, risen if self.steady else _progress_at(risen), 1.0)
+        return self.contact_time + self.rise_time * share + np.clip(progress - 1, 0, None) * self._hold_time
 
     def normal_force(self, time: Array) -> Array:
-        return self.force * np.sin(math.pi / 2 * self.progress(time)) ** 2
+        share = self._share_of_rise(time)
+        risen = share if self.steady else force_share(share)
+        return self.force * risen * (1 - self.relaxation * self._held(time))
 
     def tangential_force(self, time: Array) -> Array:
-        return np.zeros_like(time)
+        return self.drag * self.normal_force(time)
+
+    def _share_of_rise(self, time: Array) -> Array:
+        return np.asarray(np.clip((time - self.contact_time) / self.rise_time, 0, 1))
+
+    def _held(self, time: Array) -> Array:
+        """Return the share of the time from the end of the rise to the last frame that has elapsed."""
+        held = time - self.contact_time - self.rise_time
+        return np.asarray(np.clip(held / self._hold_time, 0, 1)) if self._hold_time > 0 else np.zeros_like(held)
+
+    @property
+    def _hold_time(self) -> float:
+        return max(float(self.times[-1]) - self.contact_time - self.rise_time, 0.0)
+
+    @property
+    def _path_force(self) -> float:
+        return self.force if self.path_force is None else self.path_force
+
+    @property
+    def _path_time(self) -> float:
+        return self.rise_time if self.path_force is None else _PATH_S
+
+    @property
+    def _end(self) -> float:
+        """Return the progress of the chain's path at the full force of the press."""
+        return float(_progress_at(np.asarray(self.force / self._path_force)))
+
+
+@lru_cache(maxsize=4)
+def pressed_chain(
+    friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
+) -> Chain:
+    """Return a skin chain at 257 evenly spaced times of a force (N) that rises as sin² in a time (s)."""
+    time = torch.linspace(0, rise_s, _TIMES, dtype=torch.float64)
+    load = torch.from_numpy(force * force_share(np.linspace(0, 1, _TIMES)))
+    return follow(friction, time, load, parameters=named(parameters).softer(softness), elements=elements)
+
+
+def force_share(progress: Array) -> Array:
+    """Return the share of the full force of the chain's path at a progress from 0 to 1."""
+    return np.asarray(np.sin(math.pi / 2 * progress) ** 2)
+
+
+def _progress_at(share: Array) -> Array:
+    """Return the progress at which a share of the full force of the chain's path is reached."""
+    return np.asarray(2 / math.pi * np.arcsin(np.sqrt(np.minimum(share, 1.0))))
+
+
+@lru_cache(maxsize=64)
+def _radial_motion(
+    friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
+) -> "RadialMotion":
+    """Return the motion of a pressed chain around the origin."""
+    chain = pressed_chain(friction, parameters, softness, force, rise_s, elements)
+    x = 1e3 * (chain.position[..., 0] - chain.position[..., 0].flip(-1)).numpy() / 2
+    undeformed = x[0]
+    seen = np.abs(undeformed) <= _SIDE * undeformed[-1]
+    side = float(x[:, seen][:, -1].min())
+    radius = np.linspace(0, side, _RADII + 1)
+    share = np.empty((_TIMES, _RADII + 1))
+    for row, place in zip(share, x, strict=True):
+        moved = CubicSpline(place[seen], (place - undeformed)[seen])
+        row[0], row[1:] = moved(0.0, 1), moved(radius[1:]) / radius[1:]
+    square = (500 * chain.contact_length.numpy()) ** 2
+    return RadialMotion((0.0, 0.0), side, _coefficients(_evened(share)), _coefficients(_evened(square)))
 
 
 @dataclass(frozen=True, eq=False)
 class RadialMotion:
     """Motion of a contact disc that grows while skin spreads radially from its centre, both given by splines.
 
-    Progress is the elapsed share of the rise. With r the distance from the centre, material = position (1 - s), where
-    s(r, progress) is a bicubic spline, even in r. The square of the disc's radius is a cubic spline of progress. Both
-    are even at either end of the progress, because the force begins and ends with zero slope.
+    Progress from 0 to 1 is the rise of the force. With r the distance from the disc's centre, material = position -
+    s (position - centre), where s(r, p) is a bicubic spline, even in r, and p = end progress the place on the path of
+    the chain. The square of the disc's radius is a cubic spline of p. Both splines are even at either end of the path,
+    because the force begins and ends with zero slope. Beyond a progress of 1 disc and skin move together, by shift
+    sin²(pi (progress - 1) / 2).
 
     Args:
-        centre: of the contact, mm.
+        centre: of the contact during the rise, mm.
         side: radius (mm) where the spline ends; beyond it s is constant.
-        share: coefficients (K + 3, M + 3) of s, from progress 0 to 1 and radius 0 to ``side``, padded by one on each
-            side.
+        share: coefficients (K + 3, M + 3) of s, from p = 0 to 1 and radius 0 to ``side``, padded by one on each side.
         square: coefficients (K + 3,) of the square of the contact radius, mm².
+        shift: displacement (x, y) of disc and skin as a whole at a progress of 2, mm.
+        end: p at the end of the rise.
     """
 
     centre: tuple[float, float]
     side: float
     share: Tensor
     square: Tensor
+    shift: tuple[float, float] = (0.0, 0.0)
+    end: float = 1.0
 
     # The contact grows faster than the skin spreads, so a point that is inside stays inside.
     entry_steps = 1
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        shifted = self._shifted(progress)
+        x, y = x - self.shift[0] * shifted, y - self.shift[1] * shifted
         right, down = x - self.centre[0], y - self.centre[1]
         # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre finite.
         radius = torch.sqrt(right.square() + down.square() + 1e-30)
         rows, columns = self.share.shape
-        first, weights = _place(progress, rows - 3)
+        first, weights = _place(self._on_path(progress), rows - 3)
         table = self.share.to(x.dtype)
         start, across = _place(radius / self.side, columns - 3)
         if progress.numel() == 1:  # an image: one row of coefficients for all pixels
@@ -137,16 +225,25 @@ class RadialMotion:
         return x - spread * right, y - spread * down
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        square = self._square(progress)
-        right, down = x - self.centre[0], y - self.centre[1]
-        return (square - right.square() - down.square()) / float(self._square(torch.ones(1, dtype=torch.float64)))
+        shifted = self._shifted(progress)
+        right, down = x - self.centre[0] - self.shift[0] * shifted, y - self.centre[1] - self.shift[1] * shifted
+        largest = float(self._square(torch.ones(1, dtype=torch.float64)))
+        return (self._square(progress) - right.square() - down.square()) / largest
 
     def ellipse(self, progress: float) -> Ellipse | None:
-        square = float(self._square(torch.tensor(progress, dtype=torch.float64))) if progress > 0 else 0.0
-        return Ellipse(self.centre, (math.sqrt(square), math.sqrt(square))) if square > 1e-6 else None
+        at = torch.tensor(progress, dtype=torch.float64)
+        square, shifted = (float(self._square(at)) if progress > 0 else 0.0), float(self._shifted(at))
+        centre = self.centre[0] + self.shift[0] * shifted, self.centre[1] + self.shift[1] * shifted
+        return Ellipse(centre, (math.sqrt(square), math.sqrt(square))) if square > 1e-6 else None
+
+    def _on_path(self, progress: Tensor) -> Tensor:
+        return progress.clamp(0, 1) * self.end
+
+    def _shifted(self, progress: Tensor) -> Tensor:
+        return torch.sin(math.pi / 2 * (progress - 1).clamp(0, 1)).square()
 
     def _square(self, progress: Tensor) -> Tensor:
-        start, weights = _place(progress, len(self.square) - 3)
+        start, weights = _place(self._on_path(progress), len(self.square) - 3)
         return _line(self.square.to(progress.dtype), start, weights)
 
 

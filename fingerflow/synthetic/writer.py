@@ -20,6 +20,7 @@ from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
+from fingerflow.synthetic.linear_slip import LinearSlip
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.press import Press
@@ -31,7 +32,10 @@ from fingerflow.synthetic.texture import RidgeTexture
 #: Classes that may occur in the settings of a scene.
 KINDS = {
     kind.__name__: kind
-    for kind in (Press, ChainPress, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
+    for kind in (
+        *(Press, ChainPress, Slide, PartialSlip, LinearSlip, Camera, Bump),
+        *(RidgeTexture, FingerprintTexture, PictureTexture),
+    )
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
@@ -39,8 +43,8 @@ _LOOKS = 12  # frames whose contact determines the region
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
-def write_recording(folder: Path, scene: SyntheticScene) -> None:
-    """Write a synthetic scene as a recording folder, which appears only when it is complete.
+def write_recording(folder: Path, scene: SyntheticScene, progress: bool = True) -> None:
+    """Write a synthetic scene as a recording folder, which appears only when it is complete, with a progress bar.
 
     The folder holds frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the
     mean of eight images without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml,
@@ -55,7 +59,7 @@ def write_recording(folder: Path, scene: SyntheticScene) -> None:
     unfinished = hidden(folder)
     try:
         unfinished.mkdir(parents=True)
-        _write_frames(unfinished / "frames.npy", scene)
+        _write_frames(unfinished / "frames.npy", scene, progress)
         for name, picture in (("empty", scene.empty), ("dark", scene.dark)):
             mean = np.mean([picture(number) for number in range(REFERENCE_PICTURES)], axis=0, dtype=np.float64)
             np.save(unfinished / f"{name}.npy", mean.astype(np.float32))
@@ -93,7 +97,7 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
     return scene
 
 
-def _write_frames(path: Path, scene: SyntheticScene) -> None:
+def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
     if hasattr(os, "posix_fallocate"):
@@ -110,7 +114,9 @@ def _write_frames(path: Path, scene: SyntheticScene) -> None:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             pending = pool.map(write, range(scene.n_frames))
             try:
-                for _ in tqdm(pending, total=scene.n_frames, desc="synthetic frames", unit="frame"):
+                for _ in tqdm(
+                    pending, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress
+                ):
                     pass
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)  # an interrupt must not wait for all other frames

@@ -1,36 +1,129 @@
-"""Detection of invalid frames of a recording: frames in which the image jumps and returns, or is repeated."""
+"""Detection of frames in which the image jumps and returns: one rule for a recording and for a stream."""
 
-from itertools import combinations
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.tracker.frame_distances import LONGEST
 
-# Limit of the distance to both neighbours over that between them. A shift by 5 px gives 5 to 30, noise 2.
-FAR = 4.0
-_USUAL = 0.9  # quantile of that quotient over the recording that is taken as usual: lamps flicker, fingers vibrate
-_FAR_AT_END = 5.0  # limit for the first and last frame, with neighbours on one side only
+# Limits of the excess: noise alone gives 0.16 at most, a jump of 0.3 px gives 0.25 (`tests.silent.frames`). A distance
+# must be four times what is usual where light flickers or a finger vibrates.
+_LEAST_EXCESS, _FAR = 0.25, 16.0
+NEARBY = 8  # steps before, and behind, from which it is known what is ordinary
+_JERK = 2.0  # more of an excess that moving skin may have: one step of 1.8 times the ordinary ones
+_USUAL, _SLOW = 0.9, 0.1  # quantiles: of the excess that is taken as usual, of the steps that are noise
+_BACK = 0.6  # share of the longer way, there or back, below which the rest between both ends is a return
+_LEAST_AT_END = 1.25  # of an excess in the first and last frames, behind which nothing is known
 _MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
-REPEATED_SHARE = 0.2  # of the frames, beyond which repetitions are normal for the camera and no fault
-Distances = NDArray[np.float32]
+SquaredDistances = NDArray[Any]
 
 
-def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (F,) of frames whose image differs from both adjacent frames, which resemble each other.
+class Ways(NamedTuple):
+    """Squared distances (..., rows) that tell whether the image jumps with one to `LONGEST` frames and returns.
+
+    Attributes:
+        into: of the first of these frames from the frame before them.
+        out_of: of the frame behind them from the last of them.
+        between: of the frame behind them from the one before them.
+        within: longest step between consecutive ones of them; 0 for one frame.
+        usual: of consecutive frames nearby; it holds the noise that is part of every distance.
+    """
+
+    into: SquaredDistances
+    out_of: SquaredDistances
+    between: SquaredDistances
+    within: SquaredDistances
+    usual: SquaredDistances
+
+
+class Ordinary(NamedTuple):
+    """What is known of ordinary frames of a recording, or of a stream so far: two squared distances (rows,).
+
+    Attributes:
+        noise: that of frames without motion, or of the slowest.
+        limit: of an `excess`, where frames are at rest.
+    """
+
+    noise: SquaredDistances
+    limit: SquaredDistances
+
+    @classmethod
+    def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
+        """Measure both from the steps (n, rows) of consecutive frames and the excesses (m, rows) of single frames."""
+        usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
+        limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
+        return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
+
+
+def is_jump(ways: Ways, known: Ordinary) -> bool:
+    """Return whether the image jumps and returns in some row.
+
+    - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
+      jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
+      that taps are not; or both ways are four times as long as those nearby.
+    - The image returns: the way between the frames around them is shorter than the longer way, there or back. What
+      moves on, however unevenly, gets further from where it was.
+    """
+    usual = np.fmax(ways.usual, 1)
+    longer = np.maximum(ways.into, ways.out_of) - usual
+    most = np.maximum(usual, ways.within)
+    far = excess(ways.into, ways.out_of, most) > _limit(most, known)
+    very_far = excess(ways.into, ways.out_of, usual) > np.maximum(known.limit, _FAR - 1)
+    return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
+
+
+def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
+    """Return whether the image may jump with a frame in some row: its step is longer than usual ones nearby.
+
+    Without what is `known` of other frames, by the least excess that may count.
+    """
+    usual = np.fmax(usual, 1)
+    return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _limit(usual, known))).any())
+
+
+def _limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
+    """Return the limits (..., rows) of an excess over usual steps."""
+    moving = 1 - np.clip(known.noise, 1, usual) / usual
+    result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
+    return result
+
+
+def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
+    """Return by how much both ways (..., rows), into frames and out of them, exceed usual steps: a quotient less 1."""
+    result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
+    return result
+
+
+def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
+    """Return the level that ordinary steps stay below, from `NEARBY` squared steps along an axis.
+
+    It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
+    for smooth motion, more the more it jerks.
+    """
+    ordered = np.sort(steps, axis=axis)
+    most, middle = (np.fmax(ordered.take(k, axis=axis), 1) for k in (-3, NEARBY // 2))
+    result: SquaredDistances = most * (most / middle)
+    return result
+
+
+def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (F,) of jumps that return: frames far from both adjacent frames, which are close to each other.
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
-    shifted or of another brightness, is far from both neighbours, while these are as close to each other and to the
-    frames beyond them as ever. A frame is marked if, in some row of blocks or in its light, it is four times as far,
-    four times as far as consecutive frames mostly are, and four times what is usual where light flickers or a finger
-    vibrates. Up to `LONGEST` such frames in a row are found. The first and the last frame have neighbours on one side
-    only, and are marked if they are five times as far from them as these from each other.
+    shifted or of another brightness, is far from both neighbours, while these are as close to the frames beyond them as
+    ever, and closer to each other (`is_jump`). Up to `LONGEST` such frames in a row are found. As many at the beginning
+    and at the end are marked where they are further from all others than they may be: no frames tell whether the image
+    returns.
 
     At 300 frames/s a vibration of 40 to 150 Hz returns as fast. A lasting one raises what is usual, or is found in more
     than a tenth of the frames.
 
     Args:
-        distances: (F, LONGEST + 1, rows) of `block_distances`.
+        distances: (F, LONGEST + 1, rows) of `squared_distances_before`.
         usable: (F,) False for frames already known to be invalid, with which none is compared.
 
     Returns:
@@ -38,19 +131,15 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
     """
     frames = len(distances)
     found = np.zeros(frames, dtype=bool)
-    # Distances that are due to noise vary by as much as their own size.
-    if frames > 1:
-        distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
-    steps = _neighbour_distances(distances)
-    quotients = [_jump_measure(distances, steps, length) for length in range(1, LONGEST + 1)]
-    limits = [FAR * _usual_level(one) for one in quotients]
+    if frames < 2:
+        return found
+    steps = _steps(distances)
+    known = Ordinary.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
+    found |= _far_at_end(distances, usable, steps.before, known)
+    found |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], known)[::-1]
     # Frames with which a jump may begin, by comparison with the frame right before them.
     likely = np.zeros(frames, dtype=bool)
-    for quotient, limit in zip(quotients, limits, strict=True):
-        likely[1 : 1 + len(quotient)] |= (quotient > limit).any(1)
-    for known, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
-        far = _far_at_start(apart, np.flatnonzero(known))
-        found |= far if known is usable else far[::-1]
+    likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
     good = iter(np.flatnonzero(usable & ~found).tolist())
     last = next(good, frames)
     for frame in good:
@@ -58,106 +147,107 @@ def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArra
             continue
         length = 0
         if likely[frame] or last != frame - 1:
-            length = _length_of_jump(distances, steps, last, frame, usable, limits)
+            length = _length_of_jump(distances, steps, last, frame, usable, known)
             found[frame : frame + length] = True
         last = frame + length
     found &= usable
     return found if found.mean() <= _MOST else np.zeros_like(found)
 
 
+class _Steps(NamedTuple):
+    """Usual squared distances (F, rows) of consecutive frames before each frame and behind it.
+
+    Attributes:
+        around: (F - 2, rows), the longer of the steps nearest to the frames before and behind each frame.
+    """
+
+    before: SquaredDistances
+    after: SquaredDistances
+    around: SquaredDistances
+
+
 def _length_of_jump(
-    distances: Distances,
-    steps: tuple[Distances, Distances],
+    distances: SquaredDistances,
+    steps: _Steps,
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
-    limits: list[NDArray[np.float32]],
+    known: Ordinary,
 ) -> int:
-    """Return how many frames, from `frame` on, differ from the image of `last` before that image returns; 0 if none.
+    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
 
     A jump ends when the image of frame `last` is back.
     """
+    latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump, longest step between its frames
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
             break
         if not usable[back]:
             continue
-        out = [np.minimum(distances[k, k - last - 1], distances[back, back - k - 1]) for k in range(frame, back)]
-        quotient = np.min(out, axis=0) / _denominator(distances[back, back - last - 1], steps[0][last], steps[1][back])
-        if (quotient > limits[length - 1]).any():
+        ways = Ways(
+            distances[frame, frame - last - 1],
+            distances[back, back - latest - 1],
+            distances[back, back - last - 1],
+            within,
+            np.maximum(steps.before[last], steps.after[back]),
+        )
+        if is_jump(ways, known):
             return length
+        latest, within = back, np.fmax(within, ways.out_of)
     return 0
 
 
-def _neighbour_distances(distances: Distances) -> tuple[Distances, Distances]:
-    """Return distances (F, rows) of each frame from the nearer of the two frames before, and of the two frames after.
+def _steps(distances: SquaredDistances) -> _Steps:
+    """Return the usual steps before and behind each frame.
 
-    They are 0 where there are none.
+    A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
+    is the longer of the nearest step and what is `ordinary` for the next eight, or the median over the recording where
+    nothing is known. A frame that repeats another has no distance from it.
     """
+    median = np.median(distances[1:, 0], axis=0)
+    distances = np.where(distances > 0, distances, np.float32(np.nan))
     before = np.fmin(distances[:, 0], distances[:, 1])
-    after = np.zeros_like(before)
+    after = np.full_like(before, np.nan)
     after[:-1] = distances[1:, 0]
     after[:-2] = np.fmin(after[:-2], distances[2:, 1])
-    return np.nan_to_num(before), after
+    before, after = (np.where(np.isnan(one), median, one) for one in (before, after))
+    around = np.maximum(before[:-2], after[2:])
+    return _Steps(np.maximum(before, _ordinary(before)), np.maximum(after, _ordinary(after[::-1])[::-1]), around)
 
 
-def _denominator(pair: Distances, before: Distances, after: Distances) -> Distances:
-    """Return the denominator of the jump measure: the largest of the given distances and 1."""
-    result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
-    return result
+def _ordinary(steps: SquaredDistances) -> SquaredDistances:
+    """Return the level (F, rows) of `ordinary` for the last `NEARBY` steps (F, rows), of the first ones for these."""
+    if len(steps) < NEARBY:
+        return np.zeros_like(steps)
+    result = ordinary(np.lib.stride_tricks.sliding_window_view(steps, NEARBY, axis=0), axis=-1)
+    return np.concatenate((np.repeat(result[:1], NEARBY - 1, axis=0), result))
 
 
-def _jump_measure(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
-    """Return a jump measure (F - length - 1, rows) of each run of `length` frames: large for a jump that returns.
+def _far_at_end(
+    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Ordinary
+) -> NDArray[np.bool_]:
+    """Mark up to the last `LONGEST` usable frames in a mask (F,): those behind a step that is far longer than others.
 
-    It is the distance of the run from the two frames around it, over the distance between these two.
+    Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
-    back = np.arange(length + 1, len(distances))
-    last = back - length - 1
-    out = [np.minimum(distances[last + j, j - 1], distances[back, length - j]) for j in range(1, length + 1)]
-    result: Distances = np.min(out, axis=0) / _denominator(distances[back, length], steps[0][last], steps[1][back])
-    return result
-
-
-def _usual_level(quotients: Distances) -> Distances:
-    """Return the level (rows,) that jump measures usually stay below: the 0.9 quantile over a recording, at least 1."""
-    if not len(quotients):
-        return np.ones(quotients.shape[1], np.float32)
-    # Without NaN both are the same, but `nanquantile` is slower: it goes column by column.
-    quantile = np.nanquantile if np.isnan(quotients).any() else np.quantile
-    result: Distances = np.maximum(quantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
-    return result
-
-
-def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask (F,) that marks the first usable frame if far from the next three, which are close together."""
     result = np.zeros(len(distances), dtype=bool)
-    first, *after = known[:4].tolist() or [0]
-    if len(after) == 3 and after[-1] - first <= LONGEST + 1:
-        away = np.min([distances[k, k - first - 1] for k in after], axis=0)
-        among = np.max([distances[k, k - j - 1] for j, k in combinations(after, 2)], axis=0)
-        result[first] = (away > _FAR_AT_END * np.maximum(among, 1)).any()
-    return result
+    last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
+    if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
+        steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
+        limit = Ordinary(known.noise, np.fmax(known.limit, _LEAST_AT_END))
+        for k, step in enumerate(steps):
+            behind = steps[k + 1 :].max(0, initial=0)  # a finger that has begun to move goes on
+            if is_far(step, np.maximum(usual[last[k]], behind), limit):
+                result[last[k + 1] :] = True
+                break
+    return result & usable
 
 
-def _reversed(distances: Distances) -> Distances:
-    """Convert the distances of `block_distances` to those of the frames in reversed order."""
+def _reversed(distances: SquaredDistances) -> SquaredDistances:
+    """Reorder squared distances as if the frames came in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):
         result[gap:, gap - 1] = distances[gap:, gap - 1][::-1]
-    return result
-
-
-def repeats(distances: Distances) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the frames that repeat the preceding frame: all block means are equal.
-
-    Frames next to another such frame are left out.
-    """
-    same: NDArray[np.bool_] = (distances[:, 0] == 0).all(1)
-    result = same.copy()
-    result[1:-1] &= ~same[:-2] & ~same[2:]
-    if len(result) > 1:
-        result[-1] &= not same[-2]
     return result

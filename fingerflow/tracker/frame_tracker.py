@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, known_of
-from fingerflow.tracker.points import STREAM, Points, Resolved
-from fingerflow.tracker.stream_frame_quality import MEASURED, USABLE, Blocks, FrameCheck
+from fingerflow.tracker.points import STREAM, Points
+from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
@@ -57,17 +58,17 @@ class TrackerSettings:
 
 
 class Frame:
-    """Input frame of a stream: contact view and topography view, block means and frame status.
+    """Input frame of a stream: contact view and topography view, samples and frame status.
 
     Attributes:
         number: of the frame; numbers increase but may have gaps.
         views: both views (1, 1, H, W) by name.
-        blocks, status: block means and status, set by `StreamTracker.inspect`.
+        picture, status: samples of the views and status, set by `StreamTracker.inspect`.
     """
 
     def __init__(self, views: Mapping[str, Array], number: int = 0) -> None:
         self.number, self.views = number, views
-        self.blocks: Blocks | None = None
+        self.picture: Picture | None = None
         self.status = USABLE
 
 
@@ -131,7 +132,7 @@ class FrameOutcome(NamedTuple):
 
 
 class _KnownMotion(NamedTuple):
-    """Motion of the points after a frame, and the number of that frame."""
+    """Known motion of the points after a frame, and the number of that frame."""
 
     motion: PointMotion
     number: int
@@ -151,22 +152,16 @@ class _Change(NamedTuple):
 
 
 class _PendingThreshold(NamedTuple):
-    """Finished frame whose contact threshold, if it was measured, has not been evaluated yet.
+    """Frame whose measured contact threshold has not been taken into account yet.
 
-    Only a frame that `counts` may set the threshold. It stores the number of the frame, because a `Frame` with results
-    is reused for another image.
+    Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided.
+    The number of the frame is stored, because a `Frame` with results is reused for another image.
     """
 
+    newest: int
     number: int
     work: Work
     counts: bool
-
-
-class _DeferredFrame(NamedTuple):
-    """Deferred frame with tracked points: the next frame decides whether the deferred frame is usable."""
-
-    work: Work
-    resolved: Resolved
 
 
 class StreamTracker:
@@ -210,7 +205,7 @@ class StreamTracker:
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
-        self._doubtful: _DeferredFrame | None = None
+        self._deferred: deque[Work] = deque()  # frames that later ones decide about
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._unlearnt: deque[_PendingThreshold] = deque()
@@ -230,8 +225,8 @@ class StreamTracker:
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
-        """Compute the block means of a frame, and the frame status from this frame alone; safe in any thread."""
-        frame.blocks, frame.status = self._check.look(frame.views)
+        """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
+        frame.picture, frame.status = self._check.look(frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
@@ -252,67 +247,65 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Begin to process a frame: return the `Work` of the frame, and the events and outcomes due before it.
+        """Begin to process a frame: return the `Work` of the frame, and the events due before it.
 
-        Events are a seeding or a new key frame; the outcome is that of a deferred frame.
+        Events are a seeding or a new key frame. They wait until no frame is deferred.
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
             assert not self.under_way
-            outcomes = self.settle(frame)
-            passed = [*self._make_changes(frame), *outcomes]
-        guess = self._predict_points(frame.number)
+            if not self._deferred:
+                passed += self._make_changes(frame)
+        guess = self._guess(self._begun, frame.number)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         measure = self.measures and self._search.wants(self._begun)
         self._begun += 1
         return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
 
     def compute(self, work: Work) -> None:
-        """Track the points of a begun frame, and measure the contact threshold if requested; safe in any thread."""
+        """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
             found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
             # An empty glass gives a threshold too, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch: one that nearly all pixels exceed is wrong.
-            physical = 0 < found < 1 and self._contact_share(work.frame, found) < _EVERYTHING
+            physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
         """Finish a computed frame, and return the frame outcomes and events that are now final.
 
-        The outcomes are that of a deferred frame before it, and its own unless it is deferred too.
+        The outcomes are those of deferred frames before it, and its own unless it is deferred too.
         """
-        passed: list[Event | FrameOutcome] = [*self.settle(work.frame)]
-        frame, points = work.frame, self._points
-        if points is None:  # no usable frame has come yet
-            passed.append(self._unusable_outcome(work, frame.status))
+        passed: list[Event | FrameOutcome] = []
+        frame = work.frame
+        if self._points is None:  # no usable frame has come yet
+            passed.append(self._skipped(work, frame.status, work.index))
         else:
-            passed += self._decide_status(work, points)
-        while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
-            passed += self._learn_threshold(*self._unlearnt.popleft())
+            assert frame.picture is not None
+            decided, status = self._check.see(frame.number, frame.picture, frame.status)
+            passed += self._decided(decided, work.index)
+            if status is None:
+                self._deferred.append(work)
+            else:
+                passed.append(self._judged(work, status, work.index))
+        while self._unlearnt and self._unlearnt[0].newest <= work.index - _LEARNT_AFTER:
+            passed += self._learn_threshold(self._unlearnt.popleft())
         self._known[work.index] = self._latest
-        self._known.pop(work.index - self.lag, None)
+        self._known.pop(work.index - self.lag - LONGEST, None)
         self._finished += 1
         return passed
 
-    def _decide_status(self, work: Work, points: Points) -> list[FrameOutcome]:
-        """Decide whether a frame is usable; the returned list is empty while the decision waits for the next frame."""
-        frame, resolved = work.frame, None
-        tracked, elsewhere = 0, False
-        if work.found is not None and work.guess is not None and frame.status in MEASURED:
-            image = work.images[TOPOGRAPHY_VIEW]
-            resolved = points.resolve(image, work.guess, work.found, self._ahead(frame.number))
-            tracked, elsewhere = _tracked(resolved.corrected.found), resolved.elsewhere
-        assert frame.blocks is not None
-        status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
-        if status is not None and status != USABLE:
-            return [self._unusable_outcome(work, status)]
-        assert resolved is not None  # points are tracked in every frame that may count
-        if status is None:
-            self._doubtful = _DeferredFrame(work, resolved)
-            return []
-        return [self._accepted(work, resolved)]
+    def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
+        """Track the points of a frame that counts, and return its outcome; `newest` is the index of the latest one."""
+        outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
+        self._known[work.index] = self._latest
+        return outcome
+
+    def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
+        """Return the outcomes of the deferred frames with these statuses."""
+        return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
@@ -331,38 +324,24 @@ class StreamTracker:
         """Return the slip flag after the last frame with results: whether skin in contact slips."""
         return self._results.slipping
 
-    def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
-        """Decide whether the deferred frame is usable once the next frame has arrived, and return the outcome.
+    def settle(self) -> list[FrameOutcome]:
+        """Return the outcomes of the frames that are deferred at the end of the stream."""
+        return self._decided(self._check.settle(), self._begun - 1)
 
-        `following` is None if there is no successor. The deferred frame gives no threshold, reseeding or key frame:
-        later frames may have begun, and their inputs must not depend on how far they have got.
-        """
-        if self._doubtful is None:
-            return []
-        (work, resolved), self._doubtful = self._doubtful, None
-        usable = following is not None and following.status == USABLE
-        status = self._check.settle(following.blocks if usable and following is not None else None)
-        if status != USABLE:
-            return [self._unusable_outcome(work, status)]
-        return [self._accepted(work, resolved, late=True)]
-
-    def _predict_points(self, number: int) -> Array | None:
-        """Predict point positions in frame `number` from the motion known `lag` frames earlier.
-
-        Later frames may be finished but are not used, so that results do not depend on timing.
-        """
-        known = self._known.get(self._begun - self.lag, self._latest)
+    def _guess(self, index: int, number: int) -> Array | None:
+        """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
+        known = self._known.get(index - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
-    def _set_motion(self, motion: _KnownMotion) -> None:
+    def _know(self, motion: _KnownMotion) -> None:
         """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
-        self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
+        self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
 
     def _ahead(self, number: int) -> int:
         return max(1, number - self._latest.number) if self._latest is not None else 1
 
-    def _contact_share(self, frame: Frame, threshold: float) -> float:
+    def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
         every = max(1, round((view.size / _PIXELS) ** 0.5))
@@ -399,10 +378,7 @@ class StreamTracker:
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
-        """Detect new points, and track them instead of the present points if they are more or a user requests it.
-
-        A request by a user needs at least one new point.
-        """
+        """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
@@ -410,12 +386,12 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Start to track newly seeded points (N, 2) px, and restart all values counted from contact onset."""
+        """Start to track newly seeded points (N, 2) px; values counted from contact onset restart."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
         self.found = int(known_of(points).sum())
-        self._set_motion(_KnownMotion(self._points.motion, number))
+        self._know(_KnownMotion(self._points.motion, number))
         self._seeding = Seeding(points, before)
         self._upkeep.restarted(self._begun, number, self.found)
         self._search.begin()
@@ -430,38 +406,60 @@ class StreamTracker:
         image = self._engine.images(change.image)
         self._points = Points(self._engine, image, change.points, motion=kept, knowledge=self._knowledge)
         assert self._latest is not None
-        self._set_motion(self._latest._replace(motion=kept))
+        self._know(self._latest._replace(motion=kept))
         self._upkeep.keyed(change.number, int(known.sum()))
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(known.sum())})
 
     # Outcome of a frame.
 
-    def _unusable_outcome(self, work: Work, status: int) -> FrameOutcome:
-        """Return the outcome of an unusable frame, from which no contact threshold is taken."""
-        self._unlearnt.append(_PendingThreshold(work.frame.number, work, False))
+    def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
+        """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
+        self._unlearnt.append(_PendingThreshold(newest, work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
-    def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> FrameOutcome:
-        assert self._points is not None
-        frame, index = work.frame, work.index
-        # A deferred frame is accepted when its successor ends; by then another frame may have begun.
-        found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index + late)
-        self._latest = _KnownMotion(self._points.motion, frame.number)
+    def _accepted(self, work: Work, newest: int) -> FrameOutcome:
+        """Recover lost points of a usable frame, update points and templates, and return the outcome.
+
+        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`: later ones may
+        have begun, and their inputs must not depend on how far they have got.
+        """
+        points, frame = self._points, work.frame
+        assert points is not None
+        image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
+        resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
+        # No later frame has begun if they begin one by one, which a deferral does not change.
+        found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
+        self._latest = _KnownMotion(points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
             # The first threshold that is measured applies at once, as there is no other.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_PendingThreshold(frame.number, work, not late))
-        if self._change is None and not late:
-            cause = PAGE if self._asked else self._upkeep.see(index, frame.number, tracked)
+        self._unlearnt.append(_PendingThreshold(newest, frame.number, work, True))
+        if self._change is None:
+            cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
             if cause:
                 self._asked = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
-                self._change = _Change(index, frame.number, image, found.points[0].copy(), cause)
+                self._change = _Change(newest, frame.number, image, found.points[0].copy(), cause)
         return self._outcome(work, USABLE, found, tracked)
+
+    def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
+        """Return the positions (N, 2) predicted in a frame, and the points found near them.
+
+        The motion, and new templates, were not known when a frame began behind a deferred one: its points are tracked
+        once more.
+        """
+        assert work.guess is not None  # points are tracked in every frame that may count
+        assert work.found is not None
+        guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
+        assert guess is not None
+        if not changes and np.array_equal(guess, work.guess, equal_nan=True):
+            return work.guess, work.found
+        points.update_due(work.index)
+        return guess, points.look(work.images[TOPOGRAPHY_VIEW], guess)
 
     def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:
         threshold = work.threshold if status == USABLE else math.nan
@@ -469,23 +467,24 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Return the contact of a frame, computed once by the thread that asks first."""
+        """Return the contact of a frame, computed at the first call, in whichever thread that happens."""
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_threshold(self, number: int, work: Work, counts: bool) -> list[Event]:
+    def _learn_threshold(self, one: _PendingThreshold) -> list[Event]:
         if not self.measures:
             return []
-        if not counts:
-            if work.measured is not None:
+        measured = one.work.measured
+        if not one.counts:
+            if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact_of(work).real_area_px[0])
-        if self._search.see(work.index, area, work.measured) and work.measured is not None:
-            return [Event("threshold", number, {"threshold": work.measured})]
+        area = float(self._contact_of(one.work).real_area_px[0])
+        if self._search.see(one.newest, area, measured) and measured is not None:
+            return [Event("threshold", one.number, {"threshold": measured})]
         return []
 
 

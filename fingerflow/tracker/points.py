@@ -22,7 +22,7 @@ from fingerflow.engines.engine import (
 )
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.kernels.tracking_limits import REACH, UPDATE_PX, Number, TrackStatus
+from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, known_of
 from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
 from fingerflow.tracker.subset_verification import Verification
@@ -31,7 +31,6 @@ Array = NDArray[Any]
 
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
-_ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and number, that must be found elsewhere after a jump
 
 
 @dataclass(frozen=True)
@@ -75,12 +74,10 @@ class Resolved(NamedTuple):
     Attributes:
         corrected: (1, N) points.
         jolted: (N,) points that were searched for, or None.
-        elsewhere: whether many of the lost points were found far from where their motion leads.
     """
 
     corrected: Corrected
     jolted: Array | None
-    elsewhere: bool
 
 
 class Points:
@@ -273,8 +270,8 @@ class Points:
     def _resolved(
         self, image: Images, guess: Array, found: FoundPoints, frames: int, around: FoundPoints
     ) -> Steps[Resolved]:
-        found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
-        return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
+        found, jolted = yield from self._recovered(image, guess, found, frames)
+        return Resolved((yield from self._corrected(found, around)), jolted)
 
     def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
         """Finish several images tracked in one call: recover lost points, correct positions, update the motion."""
@@ -325,33 +322,30 @@ class Points:
 
     def _recovered(
         self, image: Images, guess: Array, found: FoundPoints, frames: int
-    ) -> Steps[tuple[FoundPoints, Array | None, bool]]:
+    ) -> Steps[tuple[FoundPoints, Array | None]]:
         """Recover the lost points of a frame by tracking them again and by searching for them.
 
-        Return the result, the points (N,) that were searched for (None if none), and whether many of the points that
-        are not where their motion leads were found elsewhere, by a search or by several steps.
+        Return the result, and the points (N,) that were searched for (None if none).
         """
         patience = self._knowledge.patience
         wanted = self.motion.missing < (np.inf if patience is None else patience)
         lost = lost_points(found.status[0]) & wanted
         if not lost.any():
-            return found, None, False
-        if self._knowledge.lag > 1:
+            return found, None
+        expected = self.motion.expect(frames)
+        if not np.array_equal(guess, expected, equal_nan=True):
             # By now the frames in between are known, and a prediction from them is closer.
-            guess = self.motion.expect(frames)
+            guess = expected
             rows = np.flatnonzero(lost)
             found = replaced(found, rows, (yield from self._track_image(image, guess[rows], rows)))
             lost &= lost_points(found.status[0])
         searched = None
-        led = wanted & (np.abs(found.points[0] - guess).max(-1) > REACH + 0.5)  # False where lost
-        missing = int((lost | led).sum())
         if self._engine.settings.search_px and lost.any():
             look, search = self._track_and_search(image, np.arange(len(self)))
             limits = self._knowledge.searched, self._by_neighbours
             recovered = yield from recover(found, guess, wanted, look, search, *limits)
             found, searched = recovered.found, recovered.searched
-        back = missing - int((lost & lost_points(found.status[0])).sum())
-        return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
+        return found, searched
 
     def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""

@@ -1,7 +1,4 @@
-"""Frame quality in a stream: detection of invalid images, without knowledge of later frames.
-
-Recordings are checked with later frames (`tracker.frame_returns`), where the limits common to both are defined.
-"""
+"""Frame quality in a stream: detection of invalid images by the rules of a recording, as far as frames have arrived."""
 
 from __future__ import annotations
 
@@ -14,8 +11,9 @@ from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import LONGEST, divide_by_mean, row_distances
-from fingerflow.tracker.frame_returns import FAR, REPEATED_SHARE
+from fingerflow.tracker.frame_copies import REPEATED_SHARE, key_of
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
+from fingerflow.tracker.frame_returns import NEARBY, Ordinary, Ways, excess, is_far, is_jump, ordinary
 
 Array = NDArray[Any]
 
@@ -23,50 +21,33 @@ USABLE = FRAME_STATUS.index("usable")
 _DARK, _SATURATED, _REPEATED, _JUMPS = (
     FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns")
 )
-MEASURED = (USABLE, _JUMPS)  # statuses, by itself, of a frame in which points are tracked
-# A frame is far at so many times the steps before, and at least this share of the light; slipping skin has 0.07.
-_FAR, _LEAST = 3.0, 0.03
-_LOST = 0.25  # share of the points of the frame before that must be lost at once
-_FEWEST = 8  # points, below which lost ones are not counted
-_LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
-_STEPS = 8  # latest steps between usable frames that are kept
-_RETURNS = 2  # jumps and returns in the last `_RECENT` frames, from which on the finger vibrates
+_STEPS = 64  # latest steps between usable frames, by which it is known what is ordinary
+_REMEMBERED = 512  # latest usable frames with which a frame is compared to tell whether it is a copy
+_RETURNS = 3  # jumps and returns in the last `_RECENT` frames, from which on the finger vibrates
 _KNOWN, _RECENT = 8, 16  # frames
 _LIT = 0.3  # of the mean light: lines of the empty glass with less are not checked
-_FLICKER, _CHANGES = 8, 16  # changes of light, in so many frames, from which on the lamp flickers: its frames count
 
 
-class Blocks(NamedTuple):
-    """Block means of a frame, for comparison with other frames.
+class Picture(NamedTuple):
+    """Samples of each view of a frame, the contact view first, and the key of `frame_copies.key_of`."""
 
-    Attributes:
-        means: (views, rows, columns).
-        even: (rows of all views, columns), means over that of each view, independent of the lamp.
-        light: (blocks,) logarithm of the means of the contact view.
-    """
-
-    means: Array
-    even: Array
-    light: Array
+    samples: tuple[PixelSamples, ...]
+    key: bytes
 
 
 class FrameCheck:
     """Detection of invalid frames of a stream, by brightness and by comparison with the last usable frame.
 
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
-    - Lost lines: lines of the contact view without light.
-    - Far from the last usable frame: from another moment, torn or shifted. Points must be lost with it that are not
-      found elsewhere, as they are after a jump of the skin.
-    - Lamp: nine tenths of the contact view become lighter or darker at once; a contact never covers all of it. If the
-      lamp flickers, this happens again and again, and its frames count.
-    - Repeated: all block means equal those of the frame before. This is detected once more than eight frames were
-      compared, and only if no more than a fifth of the last frames repeat.
+    - Lost lines: lines of the contact view without light, in up to `LONGEST` frames in a row; then it is the camera's.
+    - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
+      compared, and only if no more than a fifth of the last frames repeat others.
+    - Jumps and returns: the rule of a recording (`frame_returns.is_jump`). A frame far from the last usable one is
+      deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
+      motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
+      16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end do not count.
 
-    A far frame whose points are found is from another moment, or the skin jumps. It is deferred, and the next frame
-    decides. After two returns in the last 16 frames a finger is taken to vibrate, and such frames count.
-
-    `process` also knows later frames, a stream does not: a state that lasts for more than `LONGEST` frames is taken as
-    the new one, and its first `LONGEST` frames do not count.
+    `process` also knows later frames: the motion behind a jump, and which of two equal frames is the copy.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
@@ -74,140 +55,151 @@ class FrameCheck:
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
-        self._black = float(_blocks(dark)[0].mean())
+        black = float(_blocks(dark)[0].mean())
         empty, lines = _blocks(glass)
-        self._lit = lines - self._black > _LIT * (lines.mean() - self._black)
-        self._least = self._black + DARK_SHARE * (float(empty.mean()) - self._black)
+        self._lit = lines - black > _LIT * (lines.mean() - black)
+        self._least = black + DARK_SHARE * (float(empty.mean()) - black)
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
-        self._last: Blocks | None = None
-        self._doubtful: _DeferredStep | None = None
+        self._last: _Seen | None = None  # usable frame
+        self._without_lines = 0  # frames so far, in a row
+        self._deferred: list[_Seen] = []
+        self._steps: deque[Array] = deque(maxlen=_STEPS)
         self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames jumped and returned
-        self._number = self._tracked = self._jumped = 0
-        self._lacks_lines = False
-        self._before: deque[float] = deque(maxlen=_STEPS)
-        self._previous: Blocks | None = None  # blocks of the frame before, whether it counts or not
-        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames equalled the one before
-        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # whether light changed by more than half of the limit
+        self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames equalled another one
 
-    def look(self, views: Mapping[str, Array]) -> tuple[Blocks, int]:
-        """Compute the block means of all views (1, 1, H, W), and the frame status from this frame alone.
+    def look(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
+        """Sample all views (1, 1, H, W), and determine the frame status from this frame alone.
 
         Any thread may call it.
         """
-        (contact, lines), *others = (_blocks(views[name][0, 0]) for name in sorted(views))  # the contact view is first
-        every = [contact, *(one for one, _ in others)]
-        means = np.stack(every)
-        even = divide_by_mean(means).reshape(-1, contact.shape[1])
-        blocks = Blocks(means, even, np.log(np.maximum(contact, 1).ravel()))
+        every = [views[name][0] for name in sorted(views)]  # the contact view is first
+        (contact, lines), *others = (_blocks(view[0]) for view in every)
+        picture = Picture(
+            tuple(PixelSamples.of(view) for view in every), key_of([contact, *(one for one, _ in others)])
+        )
         if float(contact.mean()) < self._least:
-            return blocks, _DARK
+            return picture, _DARK
         if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
-            return blocks, _SATURATED
-        return blocks, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
+            return picture, _SATURATED
+        return picture, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
-    def see(self, number: int, blocks: Blocks, status: int, tracked: int, elsewhere: bool) -> int | None:
-        """Determine the status of a frame by comparison with earlier frames; None while this waits for the next frame.
-
-        `settle` must then be called before the next frame is added.
+    def see(self, number: int, picture: Picture, status: int) -> tuple[list[int], int | None]:
+        """Determine the status of a frame by comparison with earlier frames.
 
         Args:
             number: of the frame.
-            blocks, status: results of `look`.
-            tracked: number of points found in it.
-            elsewhere: whether many were found far from where their motion leads (`tracker.points.Resolved`).
+            picture, status: results of `look`.
+
+        Returns:
+            The statuses of the first deferred frames, in order, empty if all stay deferred or there are none; and that
+            of this frame, None if it is deferred itself.
         """
-        if status not in (USABLE, _JUMPS):
-            return status
-        step, light, change = 0.0, 0.0, 0.0
-        previous = self._previous
-        if previous is not None:
-            same = np.array_equal(blocks.means, previous.means)
-            self._same.append(same)
-            change = _change_of_light(blocks, previous)
-            self._changes.append(change > _LIGHT / 2)
-            if same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same):
-                return _REPEATED
-        self._previous = blocks
-        lacks_lines = status == _JUMPS and not self._lacks_lines
-        if self._last is not None:
-            # The motion during frames that were dropped or did not count adds up.
-            gap = max(1, min(number - self._number, LONGEST + 1))
-            step = float(_steps(blocks, self._last).max())
-            if sum(self._changes) < _FLICKER:
-                light = change if self._last is previous else _change_of_light(blocks, self._last)
-            usual = max(self._before, default=_LEAST)
-            lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked and not elsewhere
-            far = step > max(_LEAST, _FAR * gap * usual)
-            if ((far and lost) or lacks_lines or light > _LIGHT) and self._jumped < LONGEST:
-                self._jumped += 1
-                return _JUMPS
-            if far and not self._jumped:
-                self._doubtful = _DeferredStep(number, blocks, tracked, step / gap, usual)
-                return None
-            if not self._jumped:
-                self._before.append(step / gap)
+        self._without_lines = self._without_lines + 1 if status == _JUMPS else 0
+        if self._without_lines > LONGEST:
+            status = USABLE
+        if status == USABLE and self._repeats(picture.key):
+            status = _REPEATED
+        return self._judged(_Seen(number, picture, status))
+
+    def _judged(self, frame: _Seen) -> tuple[list[int], int | None]:
+        if frame.status != USABLE:
+            if self._deferred:
+                self._deferred.append(frame)
+                return [], None
+            return [], frame.status
+        if not self._deferred:
+            if self._is_far(frame):
+                self._deferred.append(frame)
+                return [], None
+            self._count(frame)
+            return [], USABLE
+        if self._comes_back(frame):
+            self._returned.append(True)
+            decided = self.settle()
+            self._count(frame)
+            return decided, USABLE
+        if frame.number - self._deferred[0].number < LONGEST:
+            self._deferred.append(frame)
+            return [], None
+        # The first of them has come to stay; those behind it are judged anew.
+        first, *others = self._deferred
+        self._deferred = []
+        self._count(first)
+        decided = [USABLE]
+        for one in others:
+            before, status = self._judged(one)
+            decided += before if status is None else [*before, status]
+        before, status = self._judged(frame)
+        return [*decided, *before], status
+
+    def settle(self) -> list[int]:
+        """End the deferral of all frames, which do not count, and return their statuses."""
+        result = [_JUMPS if one.status == USABLE else one.status for one in self._deferred]
+        self._deferred = []
+        return result
+
+    def _repeats(self, key: bytes) -> bool:
+        same = key in self._keys
+        self._same.append(same)
+        return same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same)
+
+    def _count(self, frame: _Seen) -> None:
+        if self._last is not None and frame.number == self._last.number + 1:
+            self._steps.append(frame.squared_distance(self._last))
         self._returned.append(False)
-        self._last, self._number, self._tracked, self._jumped = blocks, number, tracked, 0
-        self._lacks_lines = status == _JUMPS
-        return USABLE
+        self._keys.append(frame.picture.key)
+        self._last = frame
 
-    def settle(self, following: Blocks | None) -> int:
-        """Determine the status of the deferred frame by comparison with the frame that follows it.
+    def _is_far(self, frame: _Seen) -> bool:
+        if self._last is None or not self._steps or sum(self._returned) >= _RETURNS:
+            return False
+        # The motion during frames that were dropped or did not count adds up.
+        gap = min(frame.number - self._last.number, LONGEST + 1)
+        usual = self._usual() * gap**2
+        step = frame.squared_distance(self._last)
+        # What is known takes longer to compute, and few frames are as far as that.
+        return is_far(step, usual) and is_far(step, usual, self._known())
 
-        Args:
-            following: block means of the next frame; None if there is none or it is not usable.
-        """
-        one, self._doubtful = self._doubtful, None
-        assert one is not None
+    def _comes_back(self, frame: _Seen) -> bool:
+        """Return whether the image has jumped with the deferred frames, and returns with this one."""
         assert self._last is not None
-        if following is not None and sum(self._returned) < _RETURNS:
-            away = np.minimum(_steps(one.blocks, self._last), _steps(following, one.blocks))
-            if (away > FAR * np.maximum(_steps(following, self._last), one.usual)).any():
-                self._returned.append(True)
-                return _JUMPS
-        self._returned.append(False)
-        self._before.append(one.step)
-        self._last, self._number, self._tracked = one.blocks, one.number, one.tracked
-        return USABLE
+        if frame.number - self._last.number > LONGEST + 1:
+            return False
+        first, *others = [one for one in self._deferred if one.status == USABLE]
+        into, latest, within = first.squared_distance(self._last), first, np.zeros_like(self._steps[0])
+        for one in others:
+            within, latest = np.maximum(within, one.squared_distance(latest)), one
+        out_of, between = (frame.squared_distance(one) for one in (latest, self._last))
+        return is_jump(Ways(into, out_of, between, within, self._usual()), self._known())
+
+    def _usual(self) -> Array:
+        """Return the squared distance of consecutive frames so far: the longer of the latest and what is `ordinary`."""
+        steps = np.stack([*self._steps][-NEARBY:])
+        most = ordinary(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
+        result: Array = np.maximum(most, steps[-1])
+        return result
+
+    def _known(self) -> Ordinary:
+        steps = np.stack(self._steps)
+        return Ordinary.of(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
+
+
+class _Seen(NamedTuple):
+    """Frame number, picture, and the status of the frame by itself."""
+
+    number: int
+    picture: Picture
+    status: int
+
+    def squared_distance(self, before: _Seen) -> Array:
+        """Return the squared distances (rows,) of all views from an earlier frame."""
+        pairs = zip(self.picture.samples, before.picture.samples, strict=True)
+        return np.concatenate([squared_distances(one, other)[0] for one, other in pairs])
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:
     """Return the block means (rows, columns) of a view (H, W), and the means of the sampled lines."""
     blocks, lines = block_means(view[None])
     return blocks[0], lines[0]
-
-
-class _DeferredStep(NamedTuple):
-    """Deferred frame, with its image distance from the last usable frame, and the largest recent image distance."""
-
-    number: int
-    blocks: Blocks
-    tracked: int
-    step: float
-    usual: float
-
-
-def _steps(blocks: Blocks, before: Blocks) -> Array:
-    """Return the image distance of a frame from an earlier frame, for each row of blocks of all views.
-
-    It is relative to the mean of each view.
-    """
-    rows: Array = row_distances(blocks.even[None], before.even[None])[0]
-    return rows
-
-
-def _change_of_light(blocks: Blocks, before: Blocks) -> float:
-    """Return the change of light shared by nine tenths of the blocks: the smallest |log ratio| among these blocks.
-
-    All of these blocks became lighter, or all became darker.
-    """
-    count = blocks.light.size
-    if count < _FEWEST_BLOCKS:
-        return 0.0
-    change = np.sort(blocks.light - before.light)
-    place, share = divmod(0.1 * (count - 1), 1)  # quantiles interpolated as by NumPy, which takes ten times as long
-    low, high = int(place), count - 1 - int(place)
-    lightest = change[low] + share * (change[low + 1] - change[low])
-    darkest = change[high] + share * (change[high - 1] - change[high])
-    return float(max(lightest, -darkest, 0.0))

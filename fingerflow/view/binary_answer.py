@@ -1,4 +1,4 @@
-"""Packing of metadata and arrays into one binary answer, which a browser reads without parsing numbers."""
+"""Binary format for metadata and arrays in one HTTP response, which a browser reads without parsing numbers."""
 
 import json
 import struct
@@ -14,7 +14,7 @@ _KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # tho
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return an answer as bytes: the length of a JSON text, the text, and the arrays it lists.
+    """Return metadata and arrays as bytes: length of a JSON text, the text, and the arrays that it lists.
 
     The length is a little-endian uint32, followed by 4 zeros.
 

@@ -23,7 +23,7 @@ class EditBody(Body):
 
 
 class CalibrateBody(Body):
-    """Body of a calibration request: image files to calibrate from, and the radius of the ring's hole."""
+    """Body of a calibration request: image files, and the radius of the hole of the calibration ring."""
 
     ring: str | None = None
     target: str | None = None
@@ -45,20 +45,20 @@ class ProcessBody(Body):
 
 
 class EndBody(Body):
-    """Body of a request to end a run, `process` or `report`."""
+    """Body of a request to end a running command, `process` or `report`."""
 
     of: str
 
 
 class HistoryBody(Body):
-    """Body of a history request: variable and points whose time series are shown."""
+    """Body of a request for time series: one variable at selected points."""
 
     key: str
     points: list[Number]
 
 
 class TableBody(Body):
-    """Body of a table request: the frame, or the time series and points, that the CSV table contains."""
+    """Body of a CSV request: the values of one frame, or time series with selected points."""
 
     of: str
     frame: Number = 0
@@ -68,7 +68,7 @@ class TableBody(Body):
 
 
 def body_of(sent: bytes, kind: type[Body]) -> dict[str, Any]:
-    """Return the fields of a request body; raise FingerflowError if it is no JSON or a field has the wrong type."""
+    """Return the fields of a JSON request body; raise FingerflowError for invalid JSON or a field of wrong type."""
     try:
         content = kind.model_validate_json(sent).model_dump()
     except ValidationError as error:

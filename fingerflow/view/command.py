@@ -1,4 +1,4 @@
-"""Run of a fingerflow command in a subprocess, so that the page stays responsive; progress is read from its output."""
+"""A fingerflow command that runs in a subprocess, with progress read from its output."""
 
 import re
 import subprocess
@@ -16,7 +16,7 @@ _READ = 256  # bytes a read
 
 
 class Command:
-    """Run of a fingerflow command in a subprocess. Ending it leaves no partly written file.
+    """A fingerflow command that runs in a subprocess; stopping it leaves no partly written file.
 
     Attributes:
         to: path of its output.
@@ -36,7 +36,7 @@ class Command:
         self._listener.start()
 
     def state(self) -> dict[str, Any]:
-        """Return status, progress and last lines of output of the run, for the page."""
+        """Return status, progress and last output lines of the command."""
         code = self._process.poll()
         if code is not None:
             self._listener.join(5)
@@ -55,7 +55,7 @@ class Command:
         }
 
     def end(self) -> None:
-        """Terminate the subprocess if it still runs."""
+        """Terminate the subprocess if it is still running."""
         if self._process.poll() is None:
             self._process.terminate()
             self._process.wait(20)

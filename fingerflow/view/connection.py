@@ -10,7 +10,7 @@ _REQUEST = 10.0  # s for a whole request, however slowly its bytes come
 
 
 class Connection(H11Protocol):
-    """Connection that is closed if there are too many, or if a request is not complete in time.
+    """HTTP connection that is closed if too many are open, or if a request is not complete in time.
 
     uvicorn itself waits without end for the rest of a request. Any user of this computer can open connections; only
     complete requests are checked for the token.
@@ -27,7 +27,7 @@ class Connection(H11Protocol):
             self._wait_for_request()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes of a request, and start or stop the time limit."""
+        """Receive bytes of a request, and start or stop its time limit."""
         super().data_received(data)
         self._wait_for_request()
 

@@ -1,4 +1,4 @@
-"""Draft of a scene file that the page edits: values, problems, and writing to disk."""
+"""Draft of a scene file that the page edits: values, validation problems, and writing to disk."""
 
 from pathlib import Path
 from typing import Any
@@ -20,18 +20,18 @@ Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
 #: Messages for missing keys that need more than "is needed".
 _NEEDED = {
-    "background.frames": "is needed: frames of the empty glass",
-    "calibration.mm_per_px": "is needed: calibrate from pictures, name a calibration file, or type the scale",
-    "forces.normal": "is needed: the column of the normal force in the file",
+    "background.frames": "is needed: choose a recording of the empty glass",
+    "calibration.mm_per_px": "is needed: calibrate from pictures, choose a calibration file, or enter the scale",
+    "forces.normal": "is needed: choose the column of the normal force",
 }
 
 
 class NeedsLeaveError(FingerflowError):
-    """Error that asks for permission to overwrite a file whose content this page has neither read nor written."""
+    """Error raised before overwriting a file that the page has neither read nor written: the user must confirm."""
 
 
 class Draft:
-    """Draft of a scene file; changing a value keeps comments and the order of keys.
+    """Draft of a scene file; setting a value keeps the comments and the order of keys.
 
     Attributes:
         path: path of the scene file, which may not exist yet.
@@ -51,7 +51,7 @@ class Draft:
 
     @classmethod
     def of_recording(cls, recording: Recording) -> "Draft":
-        """Return the draft of a new scene for a recording, with two views side by side; keys to fill in are absent."""
+        """Return a new draft for a recording, with two default views; keys that the user must set are absent."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
@@ -67,25 +67,25 @@ class Draft:
 
     @property
     def is_stored(self) -> bool:
-        """Return whether the draft equals the file on disk, as this page has read or written it."""
+        """Return True if the draft equals the file on disk, as last read or written by this page."""
         return self._stored == self.text and self.path.is_file()
 
     def values(self) -> dict[str, Any]:
-        """Return the values of the draft as plain TOML types."""
+        """Return the values of the draft as plain Python types."""
         return dict(self._document.unwrap())
 
     def table(self, name: str) -> dict[str, Any]:
-        """Return the values of a table of the draft; empty if the table is missing or invalid, see `problems`."""
+        """Return the values of one table of the draft; empty if the table is missing or invalid."""
         found = self.values().get(name)
         return found if isinstance(found, dict) else {}
 
     def kind(self) -> str:
-        """Return the kind of the scene as the draft states it, else the default."""
+        """Return the kind of the scene (such as press or soft_sensor) that the draft sets, or the default kind."""
         values = self.values()
         return str(values.get("kind", default_kind(values)))
 
     def problems(self) -> list[dict[str, str]]:
-        """Return problems of the draft as (key, message); a message continues a sentence that begins with the key."""
+        """Return the draft's validation problems as key and message; the message continues a sentence after the key."""
         _, problems = check_scene(self.values(), self.path.parent, "process")
         found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
         for one in found:
@@ -121,7 +121,7 @@ class Draft:
             try:
                 place[last] = value
             except TOMLKitError:
-                raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no value of TOML; correct it") from None
+                raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no valid TOML value; correct it") from None
         elif last in place:
             del place[last]
             for outer, name in reversed(around):
@@ -129,7 +129,7 @@ class Draft:
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Set the kind of the scene; views that do not fit the kind are replaced by default views of that kind.
+        """Set the kind of the scene, replacing views that do not suit it by default views.
 
         Raises:
             FingerflowError: unknown kind.
@@ -146,7 +146,7 @@ class Draft:
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Check the draft as `process` would, then write it as the scene file and return the path of that file.
+        """Validate the draft as `process` does, write it as the scene file, and return the path of that file.
 
         Raises:
             NeedsLeaveError: a file exists with other content than was read, and `replace` is false.
@@ -157,14 +157,14 @@ class Draft:
         scene = scene_of_text(text, path)
         spare(path, *scene.files()[1:])
         if path.exists() and not replace and not (path == self.path and _read(path) == self._stored):
-            raise NeedsLeaveError(f"{path} exists, and its content is not what this page has read or written")
+            raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
         write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
         self.path, self._stored = path, text
         return path
 
 
 def files_beside(path: Path) -> list[str]:
-    """Return up to 300 names in the folder of a file, without hidden ones, to choose from."""
+    """Return up to 300 names of files in the folder of a path, without hidden files, as choices for an input field."""
     try:
         return sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))[:_MOST_FILES]
     except OSError:
@@ -172,7 +172,7 @@ def files_beside(path: Path) -> list[str]:
 
 
 def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
-    """Return default views of a kind of scene: the halves of a frame, as in Willemet et al. 2021, or all of it."""
+    """Return default views for a kind of scene: both halves of the frame (Willemet et al. 2021), or all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
         half = width // 2
@@ -184,12 +184,12 @@ def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
 
 
 def _is_needed(table: str) -> bool:
-    """Return whether a scene requires a table; an empty one then stays, so that its missing keys are reported."""
+    """Return True if `process` requires a table, which then stays in the file even if empty."""
     return table in SCENE and "process" in SCENE[table].needed_by
 
 
 def _free(path: Path) -> Path:
-    """Return a path at which no file exists: the given path, or that path with a number after the stem."""
+    """Return a path at which no file exists: the given path, or the same with a number after the stem."""
     found, number = path, 2
     while found.exists():
         found, number = path.with_stem(f"{path.stem}-{number}"), number + 1

@@ -33,7 +33,7 @@ class Guard:
         self.token = self._token.text
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer refused requests; pass all others to the application. Only HTTP is served."""
+        """Refuse a request that fails the checks, and pass any other to the application; only HTTP is served."""
         if scope["type"] != "http":
             return
         refused = self._refused(Headers(scope=scope), scope)
@@ -49,7 +49,9 @@ class Guard:
         own = f"http://{hosts[0].lower()}"
         if any(origin.lower() != own for origin in origins):
             return PlainTextResponse("pages of other sites are refused", 403)
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _opens(headers, scope):
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _opens_start_page(
+            headers, scope
+        ):
             return PlainTextResponse("pages of other sites are refused", 403)
         query = scope["query_string"].decode("latin-1")
         if scope["method"] == "GET" and scope["path"] == "/" and self._token.is_in_query(query):
@@ -61,8 +63,8 @@ class Guard:
         return None
 
 
-def _opens(headers: Headers, scope: Scope) -> bool:
-    """Return whether a request only opens the start page by a link from another site.
+def _opens_start_page(headers: Headers, scope: Scope) -> bool:
+    """Return True if a request opens the start page, which links on other sites may do; the token is still required.
 
     Such a request is allowed, but needs the token.
     """

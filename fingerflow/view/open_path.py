@@ -40,7 +40,7 @@ def open_path(path: Path | None) -> Opened:
 
 
 def _draft_of(result: Path) -> Draft | None:
-    """Return a draft of the scene file from which a result was computed; None if that file cannot be read."""
+    """Return a draft of the scene file from which a result was computed, or None if that file cannot be read."""
     try:
         return Draft.of_file(scene_of(result))
     except FingerflowError:

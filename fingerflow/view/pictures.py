@@ -34,11 +34,11 @@ class Pictures:
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """Return the 8-bit image (h, w) of a frame, given by its index in the file."""
+        """Return the 8-bit image (h, w) of a frame of the recording, given by its index in the file."""
         return self.of(self.recording[frame])
 
     def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return the 8-bit image (h, w) of a frame (H, W), subsampled by `every`, with the recording's contrast."""
+        """Convert a frame (H, W) to an 8-bit image (h, w), subsampled by `every`, with the recording's contrast."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)

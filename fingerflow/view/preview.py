@@ -1,4 +1,4 @@
-"""Preview of what `process` will compute for one frame, by stages of `process` that run for that frame only."""
+"""Preview for one frame of what `process` will compute, by running its stages for that frame only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from fingerflow.schema.scene import Scene
 
 @dataclass(frozen=True)
 class Preview:
-    """Predicted contact in one frame.
+    """Predicted contact in one frame: mask, markers of a soft sensor, and numbers.
 
     Attributes:
         mask: (h, w) bool, real contact in the contact view; for a soft sensor gross contact.
@@ -37,8 +37,8 @@ class Preview:
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """Predicted seeding: points (N, 2) px of the topography view, the frame in which they are seeded, and warnings."""
+class PredictedPoints:
+    """Predicted points to track (N, 2) px in the topography view, the frame of their detection, and warnings."""
 
     points: NDArray[np.floating]
     frame: int
@@ -46,19 +46,21 @@ class Chosen:
 
 
 class Previewer:
-    """Stages of a scene that are run for single frames, to predict what `process` computes.
+    """Previewer of a scene: runs stages of `process` for single frames.
 
     Every frame is assumed usable: `process` decides that from all frames together.
     """
 
     def __init__(self, scene: Scene, before: "Previewer | None" = None) -> None:
-        """Open the inputs of a scene, or reuse those of `before` if files and views are the same.
+        """Open the inputs of a scene, reusing those of the earlier previewer `before` if files and views are unchanged.
 
         Raises:
             FingerflowError: an input is missing or invalid.
         """
         self.scene = scene
-        same = before if type(before) is type(self) and _opened(before.scene) == _opened(scene) else None
+        same = (
+            before if type(before) is type(self) and _input_settings(before.scene) == _input_settings(scene) else None
+        )
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
         # Forces are resampled once, as they do not depend on the views.
@@ -71,7 +73,7 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """Begin the contact stage; `before` is a previewer with the same recording, views and background, or None."""
+        """Begin the contact stage, reusing work of the earlier previewer `before` if it has the same inputs."""
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
@@ -87,7 +89,7 @@ class Previewer:
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Return the forces at the selected frames, by the names of the result's variables."""
+        """Return the forces (F,) at the selected frames by name of the result variable."""
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,
@@ -96,15 +98,15 @@ class Previewer:
         return {name: values for name, values in given.items() if values is not None}
 
     def contact(self, frame: int) -> Preview:
-        """Return the predicted contact in a frame, counted from 0 at the first selected frame."""
+        """Return the predicted contact in a frame, given by its index among the selected frames of the recording."""
         if frame not in self._seen:
             with torch.inference_mode():
                 found = run_alone(self._contact.step(self._batch(frame)))
             self._seen = {frame: Preview(found.real_contact_mask[0, 0], numbers_of(self._contact, frame))}
         return self._seen[frame]
 
-    def chosen(self) -> Chosen:
-        """Return the points that `process` would seed in the first frame (in the last one for backward tracking).
+    def chosen(self) -> PredictedPoints:
+        """Return the points that `process` would detect in its first frame (in the last one for backward tracking).
 
         Raises:
             FingerflowError: too few points, or no topography view.
@@ -121,10 +123,10 @@ class Previewer:
             batch.keep(self._contact, run_alone(self._contact.step(batch)))
             run_alone(tracking.step(batch))
         points = trial.results["position_px"][np.array([frame])][0]
-        return Chosen(points, frame, list(tracking.warnings))
+        return PredictedPoints(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
-        """Return a run context with space for the results of `stored` frames."""
+        """Return a run context of the pipeline with storage for the results of `stored` frames."""
         planned = plan(None, self.scene)
         return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
 
@@ -139,16 +141,16 @@ class Previewer:
 
 
 def all_of_default_stages(scene: Scene) -> list[str]:
-    """Return all variables of the stages of a default run, including those computed only on request."""
+    """Return the names of all variables of a default run's stages, including those computed only on request."""
     stages = plan(None, scene).stages
     return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
 
 
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """Return the values of a contact stage's series at one frame, without the frame status."""
+    """Return the numbers that a contact stage computed for one frame, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
-def _opened(scene: Scene) -> Sequence[Any]:
-    """Return the settings that determine which files are opened and how."""
+def _input_settings(scene: Scene) -> Sequence[Any]:
+    """Return the scene settings that determine which input files are opened and how."""
     return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

@@ -1,4 +1,4 @@
-"""HTML file that redirects a browser to the page, so that no command line contains the token."""
+"""HTML file that redirects the browser to the page, so that the access token is not visible in a command line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ from fingerflow.player.page_token import redirect
 
 @contextmanager
 def redirect_file(address: str) -> Iterator[Path]:
-    """Yield a temporary HTML file that redirects to an address and that no other user can read.
+    """Yield a temporary HTML file that redirects to a URL and that other users cannot read.
 
     Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
     """

@@ -1,4 +1,4 @@
-"""Reader of a result for the page: one frame, one time series or one point at a time, on demand."""
+"""Reader of a result file for the page, which loads single frames, time series and points on demand."""
 
 import json
 from collections.abc import Hashable, Sequence
@@ -21,7 +21,7 @@ Values = NDArray[np.floating]
 
 
 class Results:
-    """Reader of one result file for the page.
+    """Result file opened for the page, read on demand.
 
     A key names what can be shown: a variable and, after a colon, its component: "divergence", "strain:exx",
     "displacement:length".
@@ -46,7 +46,7 @@ class Results:
         self._file.close()
 
     def facts(self) -> dict[str, Any]:
-        """Return metadata of the result, and which maps and time series can be shown, with definitions."""
+        """Return metadata of the result, and the maps and time series that can be shown, with definitions."""
         data = self.data
         return {
             "path": str(self.path),
@@ -56,8 +56,8 @@ class Results:
             "warnings": json.loads(data.attrs["warnings"]),
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
-            "maps": self._listed(("frame", "point")) + self._listed(("frame", "triangle")),
-            "curves": self._listed(("frame",)),
+            "maps": self._menu_entries(("frame", "point")) + self._menu_entries(("frame", "triangle")),
+            "curves": self._menu_entries(("frame",)),
             "flags": {
                 str(name): str(values.attrs["flag_meanings"]).split()
                 for name, values in data.data_vars.items()
@@ -69,7 +69,7 @@ class Results:
         }
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return numbers and arrays of a frame, counted from 0 in the result; `shown` is the key of the map, or None.
+        """Return numbers and arrays of a frame, given by its index in the result; `shown` is the key of a map, or None.
 
         Raises:
             FingerflowError: no such frame or key.
@@ -96,11 +96,11 @@ class Results:
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
-        """Return the indices (M, 3) of the points at the corners of the triangles."""
+        """Return the point indices (M, 3) of the corners of M triangles."""
         return np.asarray(self.data["triangles"].values, dtype=np.int32)
 
     def course(self, key: str) -> Values:
-        """Return the time series (frames,) of a variable that has one value a frame, or of "time"."""
+        """Return the time series (F,) of a variable with one value per frame, or of "time"."""
         if key == "time":
             return np.asarray(self.data["time"].values, dtype=np.float64)
         values = self._component(key, self.data[self._name(key)].dims, self.data[self._name(key)].values)
@@ -109,7 +109,7 @@ class Results:
         return values
 
     def of_points(self, key: str, points: Sequence[int]) -> Values:
-        """Return time series (frames, points) of a variable at selected points, each once and in rising order."""
+        """Return time series (F, K) of a variable at K selected points, duplicates removed and in ascending order."""
         variable = self.data[self._name(key)]
         if variable.dims[:2] != ("frame", "point"):
             raise FingerflowError(f"{key} is not of points: choose a map of points")
@@ -119,7 +119,7 @@ class Results:
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
     def range_of(self, key: str) -> tuple[float, float]:
-        """Return the colour range for all frames: symmetric about 0 if the 0.04 quantile is negative, else from 0.
+        """Return the colour limits for all frames: symmetric about 0 for signed values, else starting at 0.
 
         It is computed from 24 frames, without 4 % of the values at either end.
         """
@@ -138,7 +138,7 @@ class Results:
         return self._ranges[key]
 
     def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
-        """Return CSV text with one row a frame: time series, and the medians over selected points."""
+        """Return time series as CSV text with one row per frame, with medians of a variable over selected points."""
         columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
         columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
         if point_key and len(points):
@@ -147,7 +147,7 @@ class Results:
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """Return a CSV table of a frame with one row a point, or one a triangle if `shown` is of triangles."""
+        """Return a frame's values as CSV text with one row per point, or per triangle if `shown` is of triangles."""
         of = "point" if shown is None else (*self.data[self._name(shown)].dims, "")[1]
         if of not in ("point", "triangle") or "position" not in self.data:
             raise FingerflowError(
@@ -166,8 +166,8 @@ class Results:
             columns[f"{shown} ({self._units(shown)})"] = arrays["shown"]
         return _csv(columns)
 
-    def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """List all variables with the given dimensions for the page, one entry for each component."""
+    def _menu_entries(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
+        """List the variables with the given dimensions for menus of the page, one entry for each component."""
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
@@ -182,7 +182,7 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return the arrow scale, to one digit, that draws the largest displacements as 40 px; 0 if unknown."""
+        """Return an arrow scale, to one digit, that draws the largest displacements 40 px long; 0 if unknown."""
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")
@@ -225,7 +225,7 @@ class Results:
 
 
 def median_of(values: Values) -> Values:
-    """Return the median (frames,) over points of a history (frames, points), ignoring NaN."""
+    """Return the median (F,) over points of time series (F, K), ignoring NaN."""
     # With it comes torch: not before the first picture.
     from fingerflow.pipeline.stages.preparation.series import nanmedian
 

@@ -1,4 +1,4 @@
-"""Preview of what `process` will compute for one frame of a soft sensor: markers and contact."""
+"""Preview for one frame of a soft sensor of what `process` will compute: markers and contact."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,13 +14,13 @@ from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX, Marke
 from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage, Seen
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
-from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of
+from fingerflow.view.preview import PredictedPoints, Preview, Previewer, numbers_of
 
 _LOOKS = 32  # frames from which the gel's rest state is estimated
 
 
 class SensorPreviewer(Previewer):
-    """Stages of a soft sensor, run for the previewed frame and 32 frames spread over the recording.
+    """Previewer of a soft sensor: runs its stages for the previewed frame and for 32 frames spread over the recording.
 
     Markers and their appearance are those of `process`, which finds them in each frame independently. The gel's rest
     state, and with it the threshold of its light, is estimated from these few frames, so that the contact is nearly
@@ -45,7 +45,7 @@ class SensorPreviewer(Previewer):
         self._contact = self._still
 
     def contact(self, frame: int) -> Preview:
-        """Return the predicted contact in a frame, counted from 0 at the first selected frame."""
+        """Return the predicted contact in a frame, given by its index among the selected frames of the recording."""
         if frame not in self._seen:
             frames = np.union1d(self._looks, [frame])
             place = int(np.searchsorted(frames, frame))
@@ -62,12 +62,12 @@ class SensorPreviewer(Previewer):
             self._seen = {frame: Preview(mask, numbers_of(contact, place), markers)}
         return self._seen[frame]
 
-    def chosen(self) -> Chosen:
-        """Raise FingerflowError: a soft sensor has markers, all of which are followed, and no seeded points."""
+    def chosen(self) -> PredictedPoints:
+        """Raise FingerflowError: a soft sensor has printed markers, so no points are detected on skin."""
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
-        """Return a contact stage for given frames only, with the markers in these frames detected and matched."""
+        """Return a contact stage for the given frames, after detecting and matching the markers in them."""
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
         trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})

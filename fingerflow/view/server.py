@@ -1,4 +1,4 @@
-"""HTTP server of the page; a session answers its requests."""
+"""HTTP server of the page, which passes requests to a session."""
 
 import re
 import socket
@@ -46,7 +46,7 @@ Answer = Callable[[Request], Any]
 
 
 class Served:
-    """Running server of a page, until it is closed.
+    """Running server of the page; use as a context manager, or call `run`.
 
     Attributes:
         address: URL that opens the page, with its token.
@@ -79,14 +79,14 @@ class Served:
         self._server = uvicorn.Server(config)
 
     def run(self) -> None:
-        """Serve until interrupted, then close the session."""
+        """Serve the page until interrupted, then close the session."""
         try:
             self._server.run(sockets=[self._socket])
         finally:
             self.session.close()
 
     def __enter__(self) -> Self:
-        """Serve the page in a separate thread."""
+        """Start serving the page in a separate thread."""
         self._thread = threading.Thread(target=self.run, name="view")
         self._thread.start()
         return self

@@ -1,4 +1,4 @@
-"""Session of a page: draft of a scene, result, their open files, and running commands. A lock serialises requests."""
+"""Session of the page: draft of a scene, result, open files and running commands, with a lock for parallel requests."""
 
 import contextlib
 import json
@@ -33,7 +33,7 @@ Facts = dict[str, Any]
 
 
 class Session:
-    """State of a page on the server; several browser windows share it."""
+    """State of the page on the server, shared by all browser windows."""
 
     def __init__(self, opened: Opened) -> None:
         self._lock = threading.RLock()
@@ -48,7 +48,7 @@ class Session:
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Load the draft and the result in advance of the page's first requests; errors are ignored until then."""
+        """Load draft and result before the first request of the page; errors are reported by later requests."""
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -56,13 +56,13 @@ class Session:
             self.setup()
 
     def ready(self) -> Facts:
-        """Import the modules for previews in advance of the first preview."""
+        """Import the modules for previews in advance, so that the first preview starts faster."""
         import fingerflow.view.preview  # noqa: F401
 
         return {"ready": True}
 
     def close(self) -> None:
-        """End running commands and close files."""
+        """Stop running commands and close files."""
         for run in self._runs.values():
             run.end()
         with self._lock:
@@ -74,7 +74,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """Return the draft for the page: values and problems of the draft, and facts about the recording."""
+        """Return the draft for the page: values, validation problems and properties of the recording."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -105,7 +105,7 @@ class Session:
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return the image of a frame (index in the file) as packed bytes, for a valid scene with predicted contact."""
+        """Return the image of a frame (index in the file) as packed bytes, with the predicted contact if requested."""
         with self._lock:
             pictures = self._pictures_of_draft()
             if not 0 <= frame < len(pictures.recording):
@@ -124,7 +124,7 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """Return the points that `process` would seed, as packed bytes."""
+        """Return the points that `process` would track, as packed bytes."""
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -132,7 +132,7 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return the draft's forces at the times of the frames, image calibration and warnings, as packed bytes."""
+        """Return the draft's forces at the times of the frames, calibration and warnings, as packed bytes."""
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -151,7 +151,7 @@ class Session:
             return None if path is None else path.read_bytes()
 
     def calibrate(self, asked: Mapping[str, Any]) -> Facts:
-        """Calibrate from image files in the views of the draft, as `fingerflow calibrate` does, and return the setup.
+        """Calibrate from image files with the views of the draft, as `fingerflow calibrate` does, and return `setup()`.
 
         `asked` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
         folder; the calibration file written there becomes that of the draft.
@@ -180,7 +180,7 @@ class Session:
             return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Set keys of the draft as the page requests, `{"set": [[key, value], ...]}`; {"toml": text} is a TOML value.
+        """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
 
         Raises:
             FingerflowError: keys that cannot be set, after all others were set.
@@ -200,7 +200,7 @@ class Session:
             return self.setup()
 
     def write(self, asked: Mapping[str, Any]) -> Facts:
-        """Write the scene file; raise NeedsLeaveError if it would replace content that this page has not read."""
+        """Write the scene file; raise NeedsLeaveError before overwriting content that the page has not read."""
         with self._lock:
             name = asked.get("to")
             to = None if not name else self._drafted().path.parent / str(name)
@@ -210,7 +210,7 @@ class Session:
     # Processing.
 
     def process(self, asked: Mapping[str, Any]) -> Facts:
-        """Start `fingerflow process` of the stored scene, which writes `result.h5` in its folder.
+        """Start `fingerflow process` on the saved scene; the command writes `result.h5` into the folder of the scene.
 
         With `all`, also request the variables computed only on request: principal strains, shear.
         """
@@ -233,7 +233,7 @@ class Session:
             return self.progress("process")
 
     def report(self, asked: Mapping[str, Any]) -> Facts:
-        """Start `fingerflow report` of the result: `report.html` and `overlay.mp4` in the scene's folder."""
+        """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
         del asked
         with self._lock:
             self._refuse_two()
@@ -242,19 +242,19 @@ class Session:
             return self.progress("report")
 
     def report_page(self) -> bytes | None:
-        """Return the HTML report written in this session, or None."""
+        """Return the HTML report that was written in this session, or None."""
         run = self._runs.get("report")
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
     def end(self, asked: Mapping[str, Any]) -> Facts:
-        """End the run of `process` or of `report`, and return its progress."""
+        """Stop a running `process` or `report` command, and return its progress."""
         of = str(asked.get("of"))
         if of in self._runs:
             self._runs[of].end()
         return self.progress(of)
 
     def progress(self, of: str) -> Facts:
-        """Return the progress of the run of `process` or `report`."""
+        """Return the progress of the `process` or `report` command."""
         if of not in self._runs:
             return {"running": False, "none": True}
         state = self._runs[of].state()
@@ -269,7 +269,7 @@ class Session:
     # Looking at results.
 
     def result(self) -> Facts:
-        """Return facts about the result, about the scene's views and about the recording."""
+        """Return metadata of the result, the views of its scene and properties of its recording."""
         with self._lock:
             result = self._opened_result()
             facts = result.facts()
@@ -285,7 +285,7 @@ class Session:
             return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
-        """Return a frame of the result (index from 0) as packed bytes, with an image if the recording can be read."""
+        """Return the values of a frame of the result as packed bytes, with its image if the recording can be read."""
         with self._lock:
             result = self._opened_result()
             numbers, arrays = result.frame(frame, shown)
@@ -303,7 +303,7 @@ class Session:
             return packed(facts, arrays)
 
     def result_range(self, key: str) -> Facts:
-        """Return the range of the colour scale for a key (variable and component)."""
+        """Return the limits of the colour scale for a key (variable, or variable:component)."""
         with self._lock:
             return {"key": key, "range": self._opened_result().range_of(key)}
 
@@ -313,13 +313,13 @@ class Session:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series of the result for several keys, as packed bytes."""
+        """Return time series of the result for several variables, as packed bytes."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the time series of one point with status, or the median of several, and the number of known points."""
+        """Return the time series of a point with its status, or of several points the median and number known."""
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
@@ -330,7 +330,7 @@ class Session:
             return packed({"key": key, "points": points}, arrays)
 
     def table(self, asked: Mapping[str, Any]) -> str:
-        """Return a CSV table of the shown time series, or of the shown frame."""
+        """Return CSV text of the displayed time series, or of the displayed frame."""
         with self._lock:
             result = self._opened_result()
             if asked["of"] == "frame":
@@ -345,7 +345,7 @@ class Session:
         return self._draft
 
     def _channels(self) -> list[str]:
-        """Return the columns of the draft's force file; none if it cannot be read, which `forces` reports."""
+        """Return the column names of the draft's force file; an empty list if the file cannot be read."""
         file = self._drafted().table("forces").get("file")
         path = self._drafted().path.parent / file if isinstance(file, str) and file else None
         try:
@@ -377,7 +377,7 @@ class Session:
         return self._preview[1]
 
     def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
-        """Return the predicted contact in a frame (index in the file); frames that are not selected have no arrays."""
+        """Return the predicted contact in a frame (index in the file), without arrays for a frame not selected."""
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}
@@ -440,13 +440,13 @@ def _calibration_picture(draft: Draft) -> Path | None:
 
 
 def _same_frames(result: Path, scene: Scene) -> bool:
-    """Return whether a result and a scene have equal settings of the recording."""
+    """Return True if a result was computed with the same recording settings as a scene has now."""
     with open_result(result) as earlier:
         return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
 
 
 def _value_of(value: Any) -> Any:
-    """Return a value sent by the page; TOML text is parsed, and kept as text if it is invalid."""
+    """Return a value sent by the page as a Python value; TOML text is parsed, or kept as text if invalid."""
     if not isinstance(value, dict) or "toml" not in value:
         return value
     try:

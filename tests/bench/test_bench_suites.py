@@ -1,6 +1,7 @@
 """Every suite in its quick form: the rows are there, and the accuracy is what the README says. Times are not judged."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from bench.suites import (
     large_motion,
     pipeline,
     process_together,
+    simulated_studies,
     skin_chain,
     speed_against_error,
     stated,
@@ -31,6 +33,7 @@ from bench.suites import (
 )
 from bench.trackers import lucas_kanade
 from fingerflow.kernels import tensors as kernels
+from fingerflow.study.simulated_trials import draw_presses
 
 pytestmark = pytest.mark.long
 
@@ -250,6 +253,26 @@ def test_skin_chain() -> None:
     assert errors[3] == pytest.approx(errors[1], abs=1e-4)  # the portable form
     assert number(rows["Runge-Kutta, SciPy"], "error_um") < 0.05
     assert rows[skin_chain.PEER]["error_um"] is None
+
+
+def test_simulated_studies(tmp_path: Path) -> None:
+    """Metrics from the pictures rank the presses as their truth does, and an interrupted run goes on."""
+    felt = {str(row["feels"]): row for row in simulated_studies.run(quick=True) if row["study"] == "0"}
+    for row in felt.values():
+        assert row["measured"] == 12
+        assert 0 < number(row, "correct") < 12
+        assert number(row, "criterion_low") <= number(row, "criterion") <= number(row, "criterion_high")
+    assert number(felt["divergence"], "d_prime_true") > 0 > number(felt["real_contact_area"], "d_prime_true")
+    design = replace(simulated_studies.DESIGN, participants=2, amplitudes=(0.0, 3.0))
+    store = tmp_path / "presses.csv"
+    once = simulated_studies.measured(design, store)
+    lines = store.read_text(encoding="utf-8").splitlines(keepends=True)
+    store.write_text("".join(lines[:3]), encoding="utf-8")
+    again = simulated_studies.measured(design, store)
+    comparison = draw_presses(design).pairs()[1]
+    for name in ("divergence", "real_contact_area"):
+        np.testing.assert_allclose(again[name], once[name], rtol=1e-5)  # six digits are stored
+        np.testing.assert_array_equal(np.argsort(once[name]), np.argsort(getattr(comparison, name)))
 
 
 def test_stated() -> None:

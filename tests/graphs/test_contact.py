@@ -91,7 +91,7 @@ def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
         assert float(measured(light, noise).contact.real_area_px) == pytest.approx(real_area, rel=0.008)
 
 
-@pytest.mark.parametrize(("semi_axes", "each", "mean"), [((170, 140), 0.01, 0.004), ((60, 50), 0.035, 0.012)])
+@pytest.mark.parametrize(("semi_axes", "each", "mean"), [((170, 140), 0.01, 0.004), ((60, 50), 0.04, 0.012)])
 def test_gross_area_and_axes_are_unbiased(semi_axes: tuple[float, float], each: float, mean: float) -> None:
     """Where the border runs along a ridge or a valley, a picture does not say how far into it: that is half a period at
     two places, 7 px of 60 or of 170, over a small part of the circumference. It averages out over the phases."""
@@ -203,5 +203,5 @@ def test_region_is_that_of_all_pixels() -> None:
         pixels.append(float(exact.sum()) / truth - 1)
         overlap = mask_of(contact.density_margin, 4, *exact.shape)[0, 0]
         assert float((overlap != exact).sum()) < 0.012 * truth
-    assert np.mean(cells) == pytest.approx(np.mean(pixels), abs=0.003)
+    assert np.mean(cells) == pytest.approx(np.mean(pixels), abs=0.004)
     assert np.abs(cells).max() < np.abs(pixels).max() + 0.003

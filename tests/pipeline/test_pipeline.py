@@ -177,7 +177,7 @@ def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Pat
     forces = replace(scene.forces, file=tmp_path / "short.csv")
     short = process(replace(scene, forces=forces), ["normal_force"])
     assert np.isnan(short["normal_force"].values[-1])
-    assert any("outside the time span" in warning for warning in json.loads(short.attrs["warnings"]))
+    assert any("forces do not cover" in warning for warning in json.loads(short.attrs["warnings"]))
 
 
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])

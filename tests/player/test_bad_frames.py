@@ -21,6 +21,7 @@ from tests.small_trials import (
     SPOILED,
     WIDTH,
     dim_contact,
+    other_noise,
     recipe_of_trials,
     write_library_bundle,
     write_trial,
@@ -165,9 +166,6 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
     """At ten places: its own are NaN with the reason, all others as without it, and nothing is chosen anew."""
     spoil, status = SPOILED[kind]
     slides = "key_frame" in {event["event"] for event in trial.clean.events}
-    if slides and kind in ("rolled", "shifted", "torn"):
-        # Its skin leaves the view: behind frame 44 hardly a point is followed, by whose loss such frames are known.
-        pytest.skip("a displaced frame is not told live where no points are followed")
     frames = trial.frames.copy()
     for k in PLACES:
         frames[k] = spoil(frames[k])
@@ -182,16 +180,20 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
     assert {event["status"] for event in told} == {status}
 
 
-def test_a_frame_of_another_moment_counts_in_no_number(small: Small) -> None:
-    """Its points are found, as the skin has hardly moved: the frame behind it tells. Not two in a row."""
-    frames, places = small.frames.copy(), [18, 30, 41, 55]
-    for k in places:
-        frames[k] = small.frames[(k + FRAMES // 2) % FRAMES]
-    played = small.play(frames)
-    assert _status_of(played.records) == dict.fromkeys(places, "jumps_and_returns")
-    _assert_unknown(played.records, places)
-    _assert_others_as_before(small, played.records, places)
-    assert list(played.records["frame"]) == list(range(FRAMES))
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_frames_of_another_moment_count_in_no_number(small: Small, count: int) -> None:
+    """Their points are found, as the skin has hardly moved: the frame behind them tells. So do copies, at once."""
+    for noise, status in ((other_noise, "jumps_and_returns"), (lambda frame, _: frame, "repeated")):
+        frames, places = small.frames.copy(), [first + k for first in (30, 41, 55) for k in range(count)]
+        for k in places:
+            frames[k] = noise(small.frames[k - 15], k)
+        played = small.play(frames)
+        told = _status_of(played.records)
+        assert sorted(told) == places
+        assert set(told.values()) <= {status, "jumps_and_returns"}
+        _assert_unknown(played.records, places)
+        _assert_others_as_before(small, played.records, places)
+        assert list(played.records["frame"]) == list(range(FRAMES))
 
 
 def test_a_clean_trial_is_that_of_process(trial: Small) -> None:
@@ -262,7 +264,7 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     assert sorted(_status_of(played.records)) == places
     measured = [event for event in played.events if event["event"] == "threshold"]
     assert not set(places) & {event["frame"] for event in measured}
-    large = (clean.records["gross_contact_area"] > 3) & (played.records["frame_status"] == USABLE)
+    large = (clean.records["gross_contact_area"] > 4) & (played.records["frame_status"] == USABLE)
     assert large.sum() > 30
     np.testing.assert_allclose(
         played.records["contact_threshold"][large], clean.records["contact_threshold"][large], rtol=0, atol=4e-3
@@ -273,11 +275,11 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 
 
 def test_what_stays_is_the_new_state(small: Small) -> None:
-    """A lamp that is dimmed for good: three frames do not count, then the trial goes on."""
+    """A lamp that is dimmed for good: every frame counts."""
     frames = small.frames.copy()
     frames[40:] = np.stack([dim_contact(one) for one in frames[40:]])
     played = small.play(frames)
-    assert sorted(_status_of(played.records)) == [40, 41, 42]
+    assert _status_of(played.records) == {}
     assert np.isfinite(played.records["real_contact_area"][43:]).all()
 
 

@@ -99,6 +99,8 @@ def test_channels_are_chosen_and_renamed(tmp_path):
     assert forces.trigger == "trigger"
     assert open_forces(path, channels={"sync": "trigger"}, trigger="trigger").trigger == "sync"
     check(open_forces(path, {"N": 2, "T": 3}), "N", "T")
+    with pytest.raises(FingerflowError, match=r'Two columns\? In the scene write .* = \["normal", "tangential"\]$'):
+        open_forces(path, {"T": "normal, tangential"})
 
 
 @pytest.mark.parametrize(
@@ -187,7 +189,8 @@ def test_a_line_that_is_cut_off_does_not_count(tmp_path):
     path = text(tmp_path, CSV["comma"][:-3])
     forces = open_forces(path)
     np.testing.assert_allclose(forces.times, TIMES[:-1])
-    assert forces.warnings == [f"{path}: ends within a line, which is left out; copy the file again if it was longer"]
+    (warning,) = forces.warnings
+    assert warning.startswith(f"{path}: the last line has no line break, so its last number may be cut off: the line")
 
 
 @pytest.mark.parametrize(

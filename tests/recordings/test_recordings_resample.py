@@ -176,7 +176,8 @@ def test_frames_outside_the_forces_are_nan_and_counted():
     values = record.resample(frames)["x"]
     outside = (frames < 0) | (frames > TIMES[-1])
     np.testing.assert_array_equal(np.isnan(values), outside)
-    assert record.warnings == [f"{outside.sum()} of 530 frames lie outside the time span of the forces: NaN there"]
+    covered = f"the forces do not cover {outside.sum()} of 530 frames (NaN there): is the trigger right?"
+    assert record.warnings == [covered]
     record.resample(frames)
     assert len(record.warnings) == 1  # said once
 

@@ -122,7 +122,7 @@ def test_the_furthest_point(simulated: SimulatedPresses) -> None:
 
 
 def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
-    depth = strains_at_depth.look_under(simulated, places=21, depths=10)
+    depth = strains_at_depth.compute_strains_at_depth(simulated, places=21, depths=10)
     edges, pressure, traction = (load[-1] for load in simulated.chain.strips())
     place = 1e-3 * torch.from_numpy(depth.place)
     expected = stress(place, 2e-3, edges, pressure, traction)

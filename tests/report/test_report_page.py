@@ -17,9 +17,9 @@ from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
+from fingerflow.report.key_frames import key_frames
 from fingerflow.report.key_numbers import key_numbers, scatter
 from fingerflow.report.settings_table import settings_tables, transform_rows
-from fingerflow.report.telling_frames import telling_frames
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -72,7 +72,7 @@ def test_the_page_is_one_file_without_none(page: Path) -> None:
 
 def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None:
     _, result = trial
-    frames = telling_frames(result)
+    frames = key_frames(result)
     assert [one.why for one in frames] == ["1 N", "2 N", "3 N", "largest force"]
     assert frames == sorted(frames)
     force = result["normal_force"].values
@@ -105,18 +105,18 @@ def test_frames_are_chosen_by_what_happens() -> None:
     normal = np.full(100, 2.0)
     ratio = np.where(time < 0.4, time / 0.4, 0.6)
     slide = of_frames(100, gross_contact_area=area, normal_force=normal, load_ratio=ratio)
-    found = {one.why: one.frame for one in telling_frames(slide)}
+    found = {one.why: one.frame for one in key_frames(slide)}
     assert found["largest T/N"] == np.argmax(ratio)
     assert found["half of the largest T/N"] == np.argmax(ratio >= ratio.max() / 2)
     assert found["last frame"] == 99
     grown = 40 * np.sin(np.pi * time)
-    found = {one.why: one.frame for one in telling_frames(of_frames(100, gross_contact_area=grown))}
+    found = {one.why: one.frame for one in key_frames(of_frames(100, gross_contact_area=grown))}
     assert found["half of the largest contact"] == np.argmax(grown >= grown.max() / 2)
     assert found["largest contact"] == np.argmax(grown)
     weak = of_frames(100, gross_contact_area=area, normal_force=0.5 * time)
-    assert [one.why for one in telling_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
+    assert [one.why for one in key_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
     nothing = of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)
-    assert telling_frames(nothing) == []
+    assert key_frames(nothing) == []
 
 
 def test_settings_are_sentences() -> None:

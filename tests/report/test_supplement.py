@@ -97,7 +97,7 @@ def test_differences_are_taken_where_the_caption_has_them(tmp_path: Path) -> Non
     labels = {name: [axes.get_xlabel() for axes in FIGURES[name](found).figure().axes] for name in ("S7", "S12")}
     assert labels["S7"] == ["vibration amplitude (µm)", "median peak force angle difference (°)"]
     assert labels["S12"][:3] == ["median divergence difference (µm/mm)"] * 3
-    assert found.difference("strain") == "strain"
+    assert found.difference_column("strain") == "strain"
 
 
 def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(t
         ]
         assert all("n = " in line for line in panels)
         assert "± one standard deviation over trials" in panels[0]
-    assert Sheet.sentences([("A", "x"), ("C", "y"), ("B", "x")]) == ("A, B need x", "C needs y")
+    assert Sheet.missing_sentences([("A", "x"), ("C", "y"), ("B", "x")]) == ("A, B need x", "C needs y")
 
 
 def test_the_field_of_the_simulated_press_is_its_truth() -> None:

@@ -256,8 +256,13 @@ WRONG = (
     ),
     _forces('units = "lbf"', "forces.units is 'lbf': it should be 'N', 'mN', 'g', 'kgf' or 'V'"),
     _forces("sign = 2", "forces.sign is 2: it should be 1 or -1"),
+    _forces(
+        'sign = "-1, 1"', "forces.sign is '-1, 1': it should be 1, -1 or a list with one for each channel, such as"
+    ),
     _forces("gain = [1.0, 2.0, 3.0]", "forces.gain is [1.0, 2.0, 3.0]: it has 3 numbers for 2 forces"),
-    _forces("gain = []", "forces.gain is []: it should be a valid number"),
+    _forces(
+        "gain = []", "forces.gain is []: it should be a number or a list with one for each channel, such as [2.5, 4]"
+    ),
     _forces("offset = inf", "forces.offset is inf: it should be a finite number"),
     _forces("tare = [0.2, 0.1]", "forces.tare is [0.2, 0.1]: two times in s from the trigger are needed, the earlier"),
     _forces("tare = 0.2", "forces.tare is 0.2: two times in s"),

@@ -20,7 +20,7 @@ from fingerflow.export.runtime import OnnxRuntime
 from fingerflow.player.live_data import LiveData
 from fingerflow.player.page_server import serve_page
 from fingerflow.schema.spreadsheet_cell import quoted_cell
-from fingerflow.study.cluster import over_workers
+from fingerflow.study.cluster import run_on_workers
 from fingerflow.view import connection
 from fingerflow.view.redirect import redirect_file
 from fingerflow.view.server import Served
@@ -98,7 +98,7 @@ def _command_line(folder: Path) -> Case:
 
 
 def _scheduler() -> Case:
-    ((_, answers),) = over_workers(_asks_as_somebody_else, iter([("", 1)]), 1, _raise, workers=1, progress=False)
+    ((_, answers),) = run_on_workers(_asks_as_somebody_else, iter([("", 1)]), 1, _raise, workers=1, progress=False)
     return _case("scheduler of a study: without its certificate", answers.count("let in"), 2, "TLS")
 
 

@@ -137,7 +137,7 @@ def _peak(result: xr.Dataset, variable: str) -> str:
 
 #: Warnings that recordings without a mistake have always given.
 KNOWN = (
-    "lie outside the time span of the forces",
+    "the forces do not cover",
     "is never below 1.99 N",
     "points were found: the region of",
     "a colour video",

@@ -11,36 +11,54 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import named
-from fingerflow.study.simulated import Design, Values, answers_of
 
+Values = NDArray[np.float64]
 _LOAD_N = 3.0
 _POINTS = 4001  # of the integrals, over eight deviations beyond the means
 
 
 @dataclass(frozen=True)
-class TableDesign(Design):
-    """Design of a simulated study, and how divergence varies.
+class TableDesign:
+    """Design of a study whose observer answers "more slippery" to one stimulus, and how divergence varies.
 
     Attributes:
+        participants: the second half of them has softer skin.
+        trials: of each participant in each condition.
+        amplitudes: µm of vibration, one per condition.
+        friction: coefficient without vibration, and at the largest amplitude; between them it falls geometrically.
+        softness: of firmer and softer skin: divisors of the chain's printed stiffnesses.
+        criterion: divergence above which the observer answers "more slippery".
+        noise: standard deviation of the perceived divergence.
+        seed: of all random numbers.
         own: standard deviation of a participant's factor.
         spread: standard deviation of a trial's divergence around that of its participant and condition.
     """
 
+    participants: int = 16
+    trials: int = 14
+    amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
     friction: tuple[float, float] = (0.9, 0.03)
     softness: tuple[float, float] = (1.0, 2.2)
     criterion: float = 0.022
     noise: float = 0.006
     own: float = 0.03
     spread: float = 0.003
+    seed: int = 0
+
+    def is_soft(self) -> NDArray[np.bool_]:
+        """Return a mask (P,) of the participants with softer skin."""
+        return np.arange(self.participants) >= self.participants // 2
 
     @cached_property
     def divergences(self) -> Values:
         """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
-        friction = torch.from_numpy(self.frictions)
+        amplitudes, (low, high) = np.asarray(self.amplitudes), self.friction
+        friction = torch.from_numpy(low * (high / low) ** (amplitudes / amplitudes.max()))
         found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in self.softness]
         return np.asarray(torch.stack(found))
 
@@ -100,7 +118,7 @@ def simulate_table(design: TableDesign) -> dict[str, Any]:
     factor = 1 + design.own * draw.standard_normal(design.participants)
     mean = design.divergences[design.is_soft().astype(int)[who], condition]
     divergence = mean * factor[who] + design.spread * draw.standard_normal(count)
-    answer = answers_of(design, divergence, draw)
+    answer = divergence + design.noise * draw.standard_normal(count) > design.criterion
     force = draw.normal(5.5, 1.0, count).clip(1.0)
     return {
         "participant": np.array([f"{number + 1:02d}" for number in range(design.participants)])[who],

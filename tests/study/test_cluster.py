@@ -16,7 +16,7 @@ from distributed import Client, LocalCluster
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study import cluster
-from fingerflow.study.cluster import over_workers
+from fingerflow.study.cluster import run_on_workers
 
 pytestmark = pytest.mark.long
 
@@ -47,7 +47,7 @@ def _raise(name: str, error: BaseException) -> Any:
 def test_workers_are_renewed_from_one_process_and_lose_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_RENEWED_AFTER", 4)
     tasks = ((f"task-{number}", number) for number in range(10))
-    found = list(over_workers(_process, tasks, 10, _raise, workers=1, progress=False))
+    found = list(run_on_workers(_process, tasks, 10, _raise, workers=1, progress=False))
     assert sorted(number for number, _, _ in found) == list(range(10))
     assert len({process for _, process, _ in found}) == 3, "ten tasks, four a worker"
     parents = {parent for _, _, parent in found}
@@ -72,13 +72,13 @@ def test_little_is_kept_of_what_was_done() -> None:
             other.bind(("127.0.0.1", 8787))
             other.listen()
         warnings.simplefilter("error", UserWarning)  # that the port of Dask's pages is taken
-        assert list(over_workers(_kept, tasks, 2, _raise, workers=1, progress=False)) == [(0, 100)] * 2
+        assert list(run_on_workers(_kept, tasks, 2, _raise, workers=1, progress=False)) == [(0, 100)] * 2
 
 
 def test_a_scheduler_keeps_nothing_of_a_name(scheduler: str) -> None:
     """It never forgets the first part of a key, and would grow with every trial."""
     tasks = ((f"01_{number}um_1", number) for number in range(3))
-    list(over_workers(_process, tasks, 3, _raise, scheduler, progress=False))
+    list(run_on_workers(_process, tasks, 3, _raise, scheduler, progress=False))
     with Client(scheduler) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.task_prefixes)) == ["trial"]
 
@@ -92,7 +92,7 @@ def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
         failed.append(name)
         return -1
 
-    found = list(over_workers(_fails_at_three, tasks, 6, of_error, scheduler, progress=False))
+    found = list(run_on_workers(_fails_at_three, tasks, 6, of_error, scheduler, progress=False))
     assert sorted(found) == [-1, 0, 1, 2, 4, 5]
     assert failed == ["task-3"]
 
@@ -101,14 +101,14 @@ def test_a_deployment_by_the_name_of_its_class(monkeypatch: pytest.MonkeyPatch) 
     """Its workers' threads sleep where they wait for each other, and its workers look at themselves once a second."""
     monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
     tasks = ((f"task-{number}", number) for number in range(2))
-    found = list(over_workers(_settings, tasks, 2, _raise, "distributed.LocalCluster", 1, progress=False))
+    found = list(run_on_workers(_settings, tasks, 2, _raise, "distributed.LocalCluster", 1, progress=False))
     assert found == [("PASSIVE", "1s")] * 2
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", "1s")
     with pytest.raises(FingerflowError, match=r"no cluster can be had from tcp://127\.0\.0\.1:9"):
-        list(over_workers(_process, iter([("task", 1)]), 1, _raise, "tcp://127.0.0.1:9", progress=False))
+        list(run_on_workers(_process, iter([("task", 1)]), 1, _raise, "tcp://127.0.0.1:9", progress=False))
 
 
 def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
@@ -146,7 +146,7 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
         monkeypatch.setattr(Client, "nthreads", noted)
         coming = Thread(target=come, daemon=True)
         coming.start()
-        results = over_workers(_waits, tasks(), 20, _raise, str(empty.scheduler_address), progress=False)
+        results = run_on_workers(_waits, tasks(), 20, _raise, str(empty.scheduler_address), progress=False)
         first = next(results)
         assert asked <= 3
         deadline = time.monotonic() + 60
@@ -178,7 +178,7 @@ def _asks_as_somebody_else(_: int) -> tuple[str, str]:
 
 def test_nobody_else_is_let_in_by_the_scheduler_of_a_study() -> None:
     """It runs what it is sent: without its certificate nothing is accepted, by TCP or by a certificate of one's own."""
-    ((address, answers),) = over_workers(
+    ((address, answers),) = run_on_workers(
         _asks_as_somebody_else, iter([("task", 1)]), 1, _raise, workers=1, progress=False
     )
     assert address.startswith("tls://127.0.0.1:")

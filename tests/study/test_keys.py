@@ -8,7 +8,7 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.study import cache_keys as room
-from fingerflow.study.cache_keys import keys_of, look_at, same_content
+from fingerflow.study.cache_keys import describe_file, keys_of, same_content
 from tests.small_trials import edit
 
 
@@ -53,7 +53,7 @@ def test_a_recording_counts_by_its_content(folder: Path) -> None:
 def test_a_large_file_that_was_touched_is_not_certainly_the_same(tmp_path: Path) -> None:
     path = tmp_path / "large.bin"
     path.write_bytes(bytes(room._WHOLE_BYTES + 1))
-    before = look_at(path)
-    assert same_content(before, look_at(path, before))
+    before = describe_file(path)
+    assert same_content(before, describe_file(path, before))
     os.utime(path, ns=(1, 1))
-    assert not same_content(before, look_at(path, before))
+    assert not same_content(before, describe_file(path, before))

@@ -30,6 +30,22 @@ def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
     assert [study.scene_of(entry).tracking.points for entry in study.trials] == [700, 500]
 
 
+def test_a_reference_is_one_trial_of_the_participant(study: Manifest, lab: Path) -> None:
+    def with_reference(of_third: str) -> Manifest:
+        rows = table.splitlines()
+        rows = [
+            f"{row},{'reference' if not number else of_third if number == 3 else ''}" for number, row in enumerate(rows)
+        ]
+        (lab / "trials.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        return load_manifest(lab)
+
+    table = (lab / "trials.csv").read_text(encoding="utf-8")
+    first = study.trials[0]
+    assert with_reference(first.trial).trials[2].others["reference"] == first.trial
+    with pytest.raises(FingerflowError, match="row 4: reference is 'nine', and 0 trials of participant 01"):
+        with_reference("nine")
+
+
 def test_scene_files_become_a_shared_scene_and_columns(study: Manifest, lab: Path) -> None:
     assert [entry.name for entry in study.trials][:3] == ["01_0_1", "01_0_2", "01_2_3"]
     assert [entry.answer for entry in study.trials] == [False, True] * 4

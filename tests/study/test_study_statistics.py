@@ -19,12 +19,13 @@ from fingerflow.models.observer import (
 )
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.report.supplement import FIGURES, Sources
+from fingerflow.schema.trial_columns import DIFFERENCES
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
 from fingerflow.study.statistics import holm, sample_of, statistics_of
-from fingerflow.study.table import averaged
+from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table, truth_of
 
@@ -162,6 +163,31 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
     frame["answer"] = None
     without = write_figures(frame, sample_of(frame), curves, tmp_path / "two")
     assert [one.name for one in without if not one.file] == ["S11", "S12"]
+
+
+def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_path: Path) -> None:
+    frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
+    frame["reference"] = ""
+    without = differences(frame)
+    assert without == {}
+    of_none = frame.assign(condition=-1.0, trial=100 + frame["trial"], answer=None, divergence=0.01)
+    both = pd.concat((frame.assign(reference=100 + frame["trial"]), of_none), ignore_index=True)
+    for name in (one.removesuffix("_difference") for one in DIFFERENCES):
+        both[name] = both.get(name, np.nan)
+    both = pd.concat((both, pd.DataFrame(differences(both))), axis=1)
+    measured = both["answer"].notna()
+    np.testing.assert_allclose(both["divergence_difference"][measured], both["divergence"][measured] - 0.01)
+    assert both["divergence_difference"][~measured].isna().all()
+    sample = sample_of(both)
+    found = statistics_of(sample, resamples=200)
+    assert sample.counted.used == len(frame)
+    assert "divergence_difference" in found["shares"]
+    assert not any("difference" in name for table in ("by_condition", "by_answer") for name in found[table])
+    assert not any("difference" in name for name in found["observer"]["metrics"])
+    medians = frame.groupby("participant")["divergence"].median().to_numpy() - 0.01
+    np.testing.assert_allclose(found["groups"]["medians"], 1e3 * medians)
+    curves = pd.DataFrame({name: [] for name in ("metric", "condition", "normal_force_N", "mean", "low", "high")})
+    assert dict(one[:2] for one in write_figures(both, sample, curves, tmp_path))["S12"]
 
 
 def test_the_curve_of_answers_follows_the_design() -> None:

@@ -12,7 +12,7 @@ from fingerflow import load_scene, process
 from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
-from fingerflow.report.beside_chain import compare_with_chain
+from fingerflow.report.chain_comparison import compare_with_chain
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
 pytestmark = pytest.mark.long
@@ -126,6 +126,59 @@ def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:
     again = rebuild_scene(tmp_path / "press")
     assert again == press
     np.testing.assert_array_equal(again.render(3), press.render(3))
+
+
+def test_time_and_progress_of_a_held_press_are_inverse() -> None:
+    """A constant rate, a path that several presses share, and a hold in which the force relaxes and the skin shifts."""
+    plain = ChainPress(n_frames=40, frame_rate=30.0, frames_before_trigger=0)
+    shared = replace(plain, force=3.0, path_force=12.0)
+    for press in (plain, replace(plain, steady=True), shared, replace(shared, steady=True)):
+        peak = press.contact_time + press.rise_time
+        time = np.linspace(press.contact_time + 1e-3, press.times[-1], 97)
+        progress = press.progress(time)
+        assert (np.diff(progress) > 0).all()
+        np.testing.assert_allclose(press.time_of(progress), time, atol=1e-7)
+        assert press.progress(np.array([0.0, peak, press.times[-1]])).tolist() == pytest.approx([0, 1, 2])
+        # On a shared path the chain is where the force has it.
+        share = press.normal_force(time[time < peak]) / (press.path_force or press.force)
+        end = press.force / (press.path_force or press.force)
+        place = progress[time < peak] * 2 / np.pi * np.arcsin(end**0.5)
+        np.testing.assert_allclose(np.sin(np.pi / 2 * place) ** 2, share, atol=1e-12)
+    relaxing = replace(press, relaxation=0.1, drag=0.2)
+    force = relaxing.normal_force(np.array([0.0, peak, press.times[-1]]))
+    assert force.tolist() == pytest.approx([0, 3.0, 2.7])
+    assert relaxing.tangential_force(np.array([peak]))[0] == pytest.approx(0.6)
+    assert relaxing.normal_force(relaxing.times).max() <= force[1]
+    with pytest.raises(ValueError, match="below the 3 N"):
+        replace(press, path_force=2.0)
+
+
+def test_skin_shifts_as_a_whole_while_the_force_is_held() -> None:
+    """Displacement changes by the shift, divergence and area do not; a path that is shared gives the same press to the
+    drag of the skin, which is faster on it: 3 % of the area and 1.5 µm/mm."""
+    held = ChainPress(
+        friction=0.2,
+        softness=3.0,
+        force=4.0,
+        elements=301,
+        n_frames=40,
+        frame_rate=30.0,
+        frames_before_trigger=0,
+        steady=True,
+        shift=(0.3, -0.1),
+    )
+    truth, last = held.truth, held.n_frames - 1
+    peak = int(np.searchsorted(held.times, held.contact_time + held.rise_time))
+    before, after = truth.medians(peak, 0.3), truth.medians(last, 0.3)
+    assert (after.displacement_x, after.displacement_y) == pytest.approx(held.shift, abs=1e-9)
+    assert after.divergence == pytest.approx(before.divergence, abs=1e-5)
+    assert truth.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(peak), rel=1e-9)
+    ellipse = truth.ellipse(last)
+    assert ellipse is not None
+    assert np.subtract(ellipse.centre, held.contact_centre) == pytest.approx(held.shift, abs=1e-12)
+    shared = replace(held, path_force=8.0).truth
+    assert shared.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(last), rel=0.03)
+    assert 1e3 * shared.medians(last, 0.3).divergence == pytest.approx(1e3 * after.divergence, abs=1.5)
 
 
 def test_friction_is_of_a_chain_press_alone(tmp_path: Path) -> None:

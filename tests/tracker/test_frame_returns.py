@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import LONGEST, block_distances
-from fingerflow.tracker.frame_returns import jumps_and_returns, repeats
+from fingerflow.tracker.frame_copies import copies, key_of
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
+from fingerflow.tracker.frame_returns import jumps_and_returns
 from tests.small_trials import SPOILED
 
 FRAMES, HEIGHT, WIDTH = 80, 96, 120
@@ -30,10 +31,11 @@ def skin() -> Frames:
 
 def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     """As a stage has them, `size` frames at a time."""
-    blocks = block_means(frames).blocks
-    parts = [
-        block_distances(blocks[k : k + size], blocks[max(k - LONGEST - 1, 0) : k]) for k in range(0, len(blocks), size)
-    ]
+    before, parts = None, []
+    for k in range(0, len(frames), size):
+        samples = PixelSamples.of(frames[k : k + size])
+        parts.append(squared_distances_before(samples, before))
+        before = samples.last(LONGEST + 1, before)
     return np.concatenate(parts)
 
 
@@ -43,14 +45,14 @@ def found(frames: Frames, usable: NDArray[np.bool_] | None = None) -> list[int]:
 
 
 def test_distances_are_those_of_the_definition(skin: Frames) -> None:
-    """Row 3 of the 4 x 5 blocks, two frames apart, and the light; batches of any size give the same."""
+    """Band 3 of 8 of 96 lines, the whole view and the light, two frames apart; batches of any size give the same."""
     got = distances(skin)
-    blocks = skin.reshape(FRAMES, 4, HEIGHT // 4, 5, WIDTH // 5).mean((2, 4))
-    even = blocks / blocks.mean((1, 2), keepdims=True)
-    # Single precision, of differences of some thousandths of the mean.
-    assert got[20, 1, 3] == pytest.approx(np.abs(even[20, 3] - even[18, 3]).mean() / 3e-3, rel=3e-4)
-    light = np.abs(np.log(skin[20].mean() / skin[18].mean())) / 0.055
-    assert got[20, 1, -1] == pytest.approx(light, abs=1e-5)
+    even = skin / skin.mean((1, 2), keepdims=True)
+    off = np.minimum(np.abs(even[20] - even[18]), 0.3)
+    light = np.log(skin[20].mean() / skin[18].mean())
+    expected = [(off[36:48].mean() / 1e-2) ** 2, (off.mean() / 1e-2) ** 2, (light / 0.15) ** 2]
+    # Single precision, of differences of some hundredths of the mean.
+    np.testing.assert_allclose(got[20, 1, [3, 8, 9]], expected, rtol=1e-4, atol=1e-8)
     assert np.isnan(got[1, 1]).all()
     assert np.isfinite(got[2, 1]).all()
     np.testing.assert_allclose(distances(skin, 1), got, rtol=1e-4, atol=1e-4)
@@ -104,10 +106,36 @@ def test_frames_that_are_known_not_to_be_pictures_measure_none(skin: Frames) -> 
     assert found(frames, usable) == [40]
 
 
-def test_a_copy_of_the_frame_before_is_found(skin: Frames) -> None:
+def copied(frames: Frames) -> list[int]:
+    keys = [key_of([one]) for one in block_means(frames).blocks]
+    return np.flatnonzero(copies(keys, distances(frames), np.ones(len(frames), dtype=bool))).tolist()
+
+
+@pytest.mark.parametrize(
+    ("places", "sources"),
+    [
+        ([30], [29]),
+        ([30, 31], [29, 29]),
+        ([30, 31, 32], [29, 29, 29]),
+        ([30, 31], [15, 16]),
+        ([77, 78, 79], [37, 38, 39]),
+    ],
+)
+def test_a_copy_of_an_earlier_or_later_frame_is_found(skin: Frames, places: list[int], sources: list[int]) -> None:
     frames = skin.copy()
-    for k in (5, 30, FRAMES - 1):
-        frames[k] = frames[k - 1]
-    assert np.flatnonzero(repeats(distances(frames))).tolist() == [5, 30, FRAMES - 1]
-    still = np.repeat(skin[:1], 20, 0)  # without noise, at rest: no frame is left to repeat
-    assert repeats(distances(still))[1:-1].sum() == 0
+    frames[places] = skin[sources]
+    assert copied(frames) == places
+    frames[[20, 21, 22]] = skin[[50, 51, 52]]
+    assert copied(frames) == [20, 21, 22, *places]
+
+
+def test_copies_that_fit_as_well_as_their_originals_are_both_left_out(skin: Frames) -> None:
+    """At rest nothing says which of two equal frames was recorded at its place."""
+    still = np.repeat(skin[:1], 40, 0) + 2 * np.random.default_rng(3).standard_normal(skin[:40].shape)
+    still[30] = still[10]
+    assert copied(still) == [10, 30]
+
+
+def test_a_still_picture_repeats_itself(skin: Frames) -> None:
+    """Without noise, at rest: all frames but the first are copies, which `frame_check` takes for the camera's doing."""
+    assert copied(np.repeat(skin[:1], 20, 0)) == list(range(1, 20))

@@ -88,9 +88,8 @@ def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None
         ("point_prediction", "SPEED_WEIGHT", 0.2, "slide", {"position_px", "status"}),
         ("recovery", "ROUNDS", 0, "slide", {"position_px", "status"}),
         ("subset_verification", "_NOISE", -3.0, "slide", {"position_px", "status"}),
-        ("onset", "LASTING", 12, "press", {"divergence", "median_divergence"}),
-        ("frame_returns", "FAR", 1e9, "spoiled", {"frame_status", "real_contact_area"}),
-        ("frame_returns", "REPEATED_SHARE", 0.0, "spoiled", {"frame_status"}),
+        ("frame_returns", "_LEAST_EXCESS", 1e9, "spoiled", {"frame_status", "real_contact_area"}),
+        ("frame_copies", "REPEATED_SHARE", 0.0, "spoiled", {"frame_status"}),
         ("frame_distances", "LONGEST", 2, "spoiled", {"frame_status", "real_contact_area"}),
     ],
 )

@@ -95,6 +95,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         # Frames, before anything else is known.
         page.wait_for_selector("#problems")
         assert "background.frames" in text_of(page, "#problems")
+        assert "Cannot process: 3 problems in Background, Calibration, Recording" in text_of(page, "#setup-status")
         assert page.is_disabled("#process")
         show_frame(page, 9)
         assert "frame 9 of 0–11" in text_of(page, "#where")
@@ -289,9 +290,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
 
         # A region: the points in it, and their median among the curves.
         draw_around(page, [(0, 0), (119, 0), (119, 95), (0, 95), (0, 2)])  # the topography view
-        page.wait_for_function(
-            "() => /points, drawn around in frame 8/.test(document.getElementById('point').textContent)"
-        )
+        page.wait_for_function("() => /points, selected in frame 8/.test(document.getElementById('point').textContent)")
         inside = int(np.isfinite(result["position"].values[8]).all(-1).sum())
         assert abs(int(text_of(page, "#point").split()[0]) - inside) <= 0.05 * inside
 

@@ -89,12 +89,12 @@ def walk(page: Any, seen: Seen) -> None:
     page.click("#calibration summary")
 
     # Ridges of one view should fall on those of the other.
-    page.check(_LAYER.format("topography on contact"))
+    page.check(_LAYER.format("Check calibration: overlay the views"))
     page.uncheck(_LAYER.format("points"))
     page.uncheck("label.toggle:text-is('contact') input")
     page.wait_for_selector("#picture[data-mask=false]")
     seen("overlay")
-    page.uncheck(_LAYER.format("topography on contact"))
+    page.uncheck(_LAYER.format("Check calibration: overlay the views"))
     page.check(_LAYER.format("points"))
     page.check("label.toggle:text-is('contact') input")
 
@@ -105,6 +105,7 @@ def walk(page: Any, seen: Seen) -> None:
     fill(page, "forces.trigger", "trigger")
     fill(page, "forces.trigger_level", "2.5")
     page.wait_for_selector("#error:has-text('sign')")  # it is negative while the finger presses
+    page.wait_for_selector("#setup-status:has-text('Cannot process: see the error above')")
     fill(page, "forces.sign", "[-1, 1]")
     page.wait_for_selector("#courses:not([hidden])")
     settled(page)

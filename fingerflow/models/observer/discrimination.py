@@ -157,7 +157,7 @@ def _estimate(
         if math.isfinite(value):
             interval, reason = bca_interval(weighted, samples, level, resamples, seed)
         else:
-            value, reason = math.nan, "the metric does not vary within the trials of a kind"
+            value, reason = math.nan, "all values are equal within each kind of trial: no d'"
     return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
 
 

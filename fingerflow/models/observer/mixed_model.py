@@ -76,7 +76,7 @@ def mixed_model(
     trials, missing = int(paired.sum()), int(known.size - paired.sum())
     total = float(squares.sum())
     if not total > 0:
-        reason = "the metric does not vary within the trials of a participant in a condition"
+        reason = "all values are equal within each participant and condition: no effect"
         return MixedModel(math.nan, UNKNOWN, math.nan, level, trials, people.size, missing, reason)
     effect = float(products.sum()) / total
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -14,7 +14,10 @@ from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
 
 _LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
-_FIRST_ROUNDS, _ROUNDS = 2, 3
+_FIRST_ROUNDS, _BORDERS, _ROUNDS = 2, 2, 4
+_NARROW, _WIDE = 1.5, 3.0  # widths of the bands inside the border, in widths of the boxes
+_SOLID = 0.9  # share from which a contact has no valleys, and becomes no thinner towards its rim
+_THINNING = 0.6  # power of the ratio of the shares in both bands by which the share falls on to the border
 _PART = 32  # cells of a line smoothed by one matrix product
 _BLOCK = 8  # cells, side of the blocks on which components are separated
 
@@ -42,12 +45,17 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent (gross) contact, whose border is where touching ridges are about half as dense as inside.
+    """Segment the apparent (gross) contact, whose border is where ridges are half as dense as near the rim.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
-    border it falls further; that level is measured on the region itself, smoothed in the same way. The region and the
-    density inside depend on each other and are found by a fixed-point iteration, which converges in a few rounds.
+    border it falls further; that level is measured on the region itself, smoothed in the same way.
+
+    Ridges become thinner towards the rim, where the pressure is low: half of the density in the middle would leave
+    out 4 % of a real print. The share that the pattern covers is therefore measured in two bands inside the border,
+    1.5 and 3 boxes wide, and extrapolated: share = narrow (narrow / wide)^0.6, as for a share that approaches its
+    value inside exponentially, over the width of a box. A contact without valleys has the same share everywhere.
+    Region and shares depend on each other; a fixed number of rounds of a fixed-point iteration finds them.
 
     The density varies slowly over a box, so cells with a fourth of the box's side resolve it. A cell crossed by the
     border counts by the fraction inside, which follows from the slope of the density. A hole is filled where the region
@@ -87,27 +95,36 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
-    height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
         """Return the area fraction of each cell where the density, linear within a cell, exceeds `limit`."""
-        return (height - flat * limit).clamp(0.0, 1.0)
+        return ((density - limit) * flat + 0.5).clamp(0.0, 1.0)
 
-    def share(part: Tensor) -> Tensor:
-        # The pattern in a border cell is taken to lie entirely in the part inside.
-        covered = (cells * part.sign()).sum((2, 3), keepdim=True)
-        return (covered / part.sum((2, 3), keepdim=True).clamp_min(1)).clamp(_LEAST_SHARE, 1.0)
-
-    part = inside(0.25)
-    for _ in range(_FIRST_ROUNDS):
-        part = inside(share(part) / 2)
-    # At a convex border the smoothed region itself is below one half.
-    border = part * (1 - part)
-    own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
-    level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
-    for _ in range(_ROUNDS):
-        limit = share(part) * level
+    def share(limit: Tensor | float, weight: Tensor | float = 1.0) -> Tensor:
         part = inside(limit)
+        # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
+        covered = (torch.minimum(cells, part) * weight).sum((2, 3), keepdim=True)
+        return (covered / (part * weight).sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)
+
+    limit: Tensor | float = 0.25
+    for _ in range(_FIRST_ROUNDS):
+        inner = share(limit)
+        limit = inner / 2
+    solid = (inner - _SOLID).clamp_min(0).sign()
+    for _ in range(_BORDERS):
+        part = inside(limit)
+        filled = _enclosed(_main_component((density - limit).clamp_min(0).sign(), density))
+        # The outer border: what lies beyond the frame, or in a hole, is no rim.
+        border = part * (1 - part) * largest_around(filled) * largest_around(1 - filled)
+        # At a convex border the smoothed region itself is below one half.
+        own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
+        level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
+        narrow, wide = (_band(border, width * boxes) for boxes in (_NARROW, _WIDE))
+        for _ in range(_ROUNDS):
+            near, far = share(limit, narrow), share(limit, wide)
+            rim = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0)
+            limit = (solid * share(limit) + (1 - solid) * rim) * level
+    part = inside(limit)
     whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
     # Border cells count by their fraction inside, including those just outside.
@@ -118,6 +135,14 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
     return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
+
+
+def _band(border: Tensor, width: float) -> Tensor:
+    """Return weights on cells that fall off from a border, smoothed by box means of `width` cells on blocks of 2 x 2
+    cells.
+    """
+    height, wide = border.shape[-2:]
+    return enlarge(_smooth(cell_means(border, 2, border.dtype), max(width / 2, 1.0)), 2)[..., :height, :wide]
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:

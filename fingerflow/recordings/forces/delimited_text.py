@@ -50,7 +50,10 @@ def read_table(path: Path) -> ForceTable:
     if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
         # Programs end their last line: if the end is missing, the last number may be truncated.
         body = "\n".join(body.splitlines()[:-1])
-        table.warnings.append(f"{path}: ends within a line, which is left out; copy the file again if it was longer")
+        table.warnings.append(
+            f"{path}: the last line has no line break, so its last number may be cut off: the line is left out. "
+            "Copy the file again if it was longer; end the line with a break if it is complete"
+        )
     if separator != ",":
         body = body.replace(",", ".")
     try:

@@ -120,13 +120,14 @@ class Forces:
         covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
         if not covered.all():
             self._warn(
-                f"{int(np.sum(~covered))} of {wanted.size} frames lie outside the time span of the forces: NaN there"
+                f"the forces do not cover {int(np.sum(~covered))} of {wanted.size} frames (NaN there): is the trigger "
+                "right?"
             )
         if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
             after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1)
             in_gap = covered & (times[after] - times[after - 1] > 1 / frame_rate)
             if in_gap.any():
-                self._warn(f"{int(in_gap.sum())} of {wanted.size} frames lie in gaps of the forces: NaN there")
+                self._warn(f"the forces have gaps at {int(in_gap.sum())} of {wanted.size} frames (NaN there)")
                 covered &= ~in_gap
             at_frames = low_pass_at(times, values, wanted[covered], nyquist=frame_rate / 2)
         else:

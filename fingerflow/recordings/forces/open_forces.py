@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -199,7 +200,10 @@ def _name(table: ForceTable, column: Column) -> str:
             )
         return names[column - 1]
     if column not in names:
-        raise FingerflowError(f"{table.path}: has no column {column!r}; its columns are {_names(table)}")
+        parts = [part.strip() for part in column.split(",")]
+        two = f". Two columns? In the scene write [forces] tangential = {json.dumps(parts, ensure_ascii=False)}"
+        hint = two if len(parts) == 2 and set(parts) <= set(names) else ""
+        raise FingerflowError(f"{table.path}: has no column {column!r}; its columns are {_names(table)}{hint}")
     return column
 
 

@@ -31,7 +31,7 @@ def read_table(path: Path) -> ForceTable:
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
         table, clocks = _columns(path, file)
         if file.file_status.incomplete_final_segment:
-            table.warnings.append(f"{path}: its last segment is cut short; the samples that are there are read")
+            table.warnings.append(f"{path}: its last segment is incomplete; the samples in it are read")
     if len(clocks) > 1:
         steps = ", ".join(f"{step:g} s from {start:g} s" for step, start in sorted(clocks))
         raise FingerflowError(

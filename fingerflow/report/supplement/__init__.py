@@ -42,14 +42,14 @@ MOVIE = "M3.mp4"
 
 @dataclass(frozen=True)
 class Written:
-    """Outcome for one figure: name, file (None if nothing could be drawn), and what was left out and why."""
+    """Outcome for one figure: name, path (None if nothing could be drawn), and panels left out with reasons."""
 
     name: str
     path: Path | None
     left_out: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return the outcome as one line of text."""
+        """Return one line of text that states the path and the panels left out."""
         skipped = "; ".join(self.left_out)
         if self.path is None:
             return f"{self.name}: skipped: {skipped}"

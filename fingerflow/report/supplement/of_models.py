@@ -1,4 +1,4 @@
-"""Figures S4, S6 and S10 of the supplement, which need simulation alone."""
+"""Figures S4, S6 and S10 of the supplement, computed from simulations without measured data."""
 
 from fingerflow.report.decomposition import decompose, draw_decomposition
 from fingerflow.report.half_sphere import draw_half_sphere, draw_lengths, draw_radial_strain

@@ -27,7 +27,8 @@ from fingerflow.report.trial_metrics import (
     participant_medians,
 )
 
-_OBSERVED = (
+#: Metrics of figure S11.
+OBSERVED = (
     "divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate",
     "real_contact_area",
 )  # fmt: skip
@@ -35,12 +36,12 @@ _FEWEST_AMPLITUDES = 3
 
 
 def ideal_observer(sources: Sources) -> Sheet:
-    """Return figure S11: the ideal observer for the paper's metrics, without trials in which the finger slid."""
+    """Return figure S11: the ideal observer for each metric of the paper, from trials without gross slip."""
     trials = sources.trials
-    metrics = [name for name in _OBSERVED if not sources.lacks(name)]
-    missing = [name for name in _OBSERVED if name not in metrics]
+    metrics = [name for name in OBSERVED if not sources.missing_input(name)]
+    missing = [name for name in OBSERVED if name not in metrics]
     if trials is None or not metrics:
-        return Sheet("S11", (), (f"needs {NO_TRIALS} with {', '.join(_OBSERVED)}",))
+        return Sheet("S11", (), (f"needs {NO_TRIALS} with {', '.join(OBSERVED)}",))
     if "global_displacement" in trials.metrics:
         trials = leave_out_moved(trials)
     found = {name.replace("_", " "): one for name, one in observe(trials, metrics).items()}
@@ -54,14 +55,14 @@ def ideal_observer(sources: Sources) -> Sheet:
             "C, AUC", draw_estimates, {name: one.auc for name, one in found.items()}, "area under the ROC", 0.5
         ),
     )
-    left_out = (f"the metrics need {sources.lacks(*missing)}",) if missing else ()
+    left_out = (f"the metrics need {sources.missing_input(*missing)}",) if missing else ()
     return Sheet("S11", panels, left_out, "ideal observer of each metric")
 
 
 def individual_performance(sources: Sources) -> Sheet:
     """Return figure S12: groups of participants by median divergence (or its difference), and their answers."""
-    metric = sources.difference("divergence")
-    trials, lacks = sources.trials, sources.lacks(metric)
+    metric = sources.difference_column("divergence")
+    trials, lacks = sources.trials, sources.missing_input(metric)
     if trials is None or lacks:
         return Sheet("S12", (), (f"needs {lacks}",))
     names, medians = participant_medians(trials, metric)
@@ -96,7 +97,7 @@ def curl(sources: Sources) -> Sheet:
         SheetPanel("B (simulated press)", lambda part: draw_median_curl(part.subplots(), sources.field)),
     ]
     title = "curl of the displacement"
-    lacks = sources.lacks("divergence", "curl")
+    lacks = sources.missing_input("divergence", "curl")
     if lacks:
         return Sheet("S13", tuple(panels), (f"C needs {lacks}",), title)
     return Sheet("S13", (*panels, SheetPanel.of_axes("C", draw_curl_against_divergence, sources.trials)), title=title)

@@ -47,11 +47,11 @@ def friction_and_area(sources: Sources) -> Sheet:
         ("D", _BY_CONDITION_NORMALISED, "gross_contact_area"),
         ("F", _BY_CONDITION_NORMALISED, "real_contact_area"),
     )
-    return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking), "friction and contact area")
+    return Sheet("S1", (*panels, *found), Sheet.missing_sentences(left_out + lacking), "friction and contact area")
 
 
 def kinematics(sources: Sources) -> Sheet:
-    """Return figure S5: force and motion. J is drawn from the table and the skin chain, K from the skin chain."""
+    """Return figure S5: force and motion, from the table of trials; J and K also from the skin chain."""
     found, lacking = _from_table(
         sources,
         ("B", draw_distribution, "max_force"),
@@ -68,25 +68,25 @@ def kinematics(sources: Sources) -> Sheet:
         SheetPanel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
         SheetPanel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
     )
-    left_out = Sheet.sentences([("A", _RECORDING), *lacking])
+    left_out = Sheet.missing_sentences([("A", _RECORDING), *lacking])
     return Sheet("S5", (*found, *chain), left_out, "force and motion of the trials")
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Return figure S7: displacement and force angle; D and E use differences from the reference where known."""
+    """Return figure S7: displacement and force angle; D and E compare with the reference surface where known."""
     found, lacking = _from_table(
         sources,
         ("A", draw_by_condition, "global_displacement"),
         ("B", draw_by_condition, "force_angle"),
         ("C", draw_share_against, "global_displacement"),
-        ("D", draw_share_against, sources.difference("force_angle")),
-        ("E", draw_share_against, sources.difference("real_contact_area")),
+        ("D", draw_share_against, sources.difference_column("force_angle")),
+        ("E", draw_share_against, sources.difference_column("real_contact_area")),
     )
-    return Sheet("S7", tuple(found), Sheet.sentences(lacking), "displacement and force angle")
+    return Sheet("S7", tuple(found), Sheet.missing_sentences(lacking), "displacement and force angle")
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Return figure S8: surface strain, in panels B, D, E and F from the skin chain, else from the table of trials."""
+    """Return figure S8: surface strain; panels B, D, E and F from the skin chain, others from the table of trials."""
     chain = (
         SheetPanel(
             "B and D (skin chain)",
@@ -101,15 +101,15 @@ def surface_strain(sources: Sources) -> Sheet:
     found, lacking = _from_table(
         sources,
         ("G", draw_correlation, "divergence", "strain"),
-        ("H", draw_share_against, sources.difference("strain")),
+        ("H", draw_share_against, sources.difference_column("strain")),
         ("I", draw_share_against, "strain_rate"),
     )
-    left_out = Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking])
+    left_out = Sheet.missing_sentences([("A", _RECORDING), ("C", _RECORDING), *lacking])
     return Sheet("S8", (*chain, *found), left_out, "strain of the surface")
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Return figure S9: strain energy. A, B and C are from the skin chain; E uses differences if the table has them."""
+    """Return figure S9: strain energy; panels A, B and C from the skin chain, others from the table of trials."""
     chain = (
         SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses), columns=2),
         SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
@@ -118,13 +118,13 @@ def strain_energy(sources: Sources) -> Sheet:
     found, lacking = _from_table(
         sources,
         ("D", draw_correlation, "divergence", "strain_energy"),
-        ("E", draw_share_against, sources.difference("strain_energy")),
+        ("E", draw_share_against, sources.difference_column("strain_energy")),
     )
-    return Sheet("S9", (*chain, *found), Sheet.sentences(lacking), "strain energy")
+    return Sheet("S9", (*chain, *found), Sheet.missing_sentences(lacking), "strain energy")
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Return the panels whose metrics a table of trials contains, and letter and missing input of all others.
+    """Return the panels that a table of trials supports, and (letter, missing input) of each other panel.
 
     Args:
         sources: hold the table.
@@ -133,7 +133,7 @@ def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetP
     panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     for letter, draw, *metrics in wanted:
-        if lacks := sources.lacks(*metrics):
+        if lacks := sources.missing_input(*metrics):
             left_out.append((letter, lacks))
         else:
             panels.append(SheetPanel.of_axes(letter, draw, sources.trials, *metrics))

@@ -19,7 +19,7 @@ _FLATTEST = 0.5  # least height of a panel as a share of its width
 
 @dataclass(frozen=True)
 class SheetPanel:
-    """Panel of a figure: its letter in print, drawing function, width in columns (of three), and relative height.
+    """Panel of a figure: letter, drawing function, width in columns of the figure, and relative height.
 
     `narrow_rows` is its relative height in a figure with fewer columns than it takes, where that differs.
     """
@@ -32,17 +32,17 @@ class SheetPanel:
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
-        """Return a panel with a single axes, into which ``draw(axes, *values)`` draws."""
+        """Return a panel with one axes, which is drawn by calling ``draw(axes, *values)``."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
     def height(self, columns: int) -> float:
-        """Return the relative height in a figure of some columns."""
+        """Return the relative height of the panel in a figure with the given number of columns."""
         return self.rows if columns >= self.columns or self.narrow_rows is None else self.narrow_rows
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """Figure of the supplement with its panels; `left_out` says which printed panels are missing and what they need.
+    """Figure of the supplement: name, title, panels, and sentences on printed panels left out.
 
     Panels of the figure have letters without gaps; its caption says which panel in print each is.
     """
@@ -53,8 +53,8 @@ class Sheet:
     title: str = ""
 
     @staticmethod
-    def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return, for each missing input, a sentence that names the panels that need it."""
+    def missing_sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+        """Return one sentence per missing input, naming the panels that need it, from pairs (panel letter, input)."""
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)
@@ -90,7 +90,7 @@ class Sheet:
         return files.save(self.figure(files.width_mm or TWO_COLUMNS_MM), folder, self.name)
 
     def _rows(self, width_mm: float) -> tuple[list[list[SheetPanel]], int]:
-        """Return the panels in rows, and the number of columns, in each of which a panel has at least 55 mm."""
+        """Arrange the panels in rows, and return the rows and the number of columns, each at least 55 mm wide."""
         columns = max(1, min(_COLUMNS, int(width_mm // _WIDE_MM), sum(panel.columns for panel in self.panels)))
         rows: list[list[SheetPanel]] = []
         for panel in self.panels:

@@ -1,4 +1,4 @@
-"""Inputs of the supplement's figures, each read or simulated once, when the first figure needs it."""
+"""Inputs of the supplement's figures, each read or simulated when first used and then kept."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,9 +9,9 @@ from fingerflow.models.friction_epochs import FrictionEpochs
 from fingerflow.models.observer import FORCED_CHOICE, Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
-from fingerflow.report.strains_at_depth import Depth, look_under
-from fingerflow.report.trial_metrics import DIFFERENCE
+from fingerflow.report.strains_at_depth import Depth, compute_strains_at_depth
 from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.schema.trial_columns import DIFFERENCE
 from fingerflow.synthetic import Press
 
 NO_TRIALS = "a table of trials (--trials)"
@@ -19,7 +19,7 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the supplement's figures: a tribometer trace, a table of trials with its design, and simulations."""
+    """Inputs of the supplement's figures: tribometer trace, table of trials, experimental design, simulations."""
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -27,7 +27,7 @@ class Sources:
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
-        """Return friction in the epochs of the tribometer trace; None without a trace."""
+        """Return the friction coefficients of each sliding epoch of the tribometer trace; None without a trace."""
         return None if self.tribometer is None else self.tribometer.epochs()
 
     @cached_property
@@ -38,20 +38,22 @@ class Sources:
     @cached_property
     def depth(self) -> Depth:
         """Compute stress and strain below the skin surface in the simulated presses."""
-        return look_under(self.presses)
+        return compute_strains_at_depth(self.presses)
 
     @cached_property
     def field(self) -> PressField:
         """Compute the true displacement field of the simulated press."""
         return press_field(Press())
 
-    def difference(self, metric: str) -> str:
-        """Return the name of the column with a metric's difference (comparison less reference), else the metric's."""
+    def difference_column(self, metric: str) -> str:
+        """Return the column with the difference of a metric from the reference, or the metric's own if it is
+        missing.
+        """
         column = metric + DIFFERENCE
-        return metric if self.lacks(column) else column
+        return metric if self.missing_input(column) else column
 
-    def lacks(self, *metrics: str) -> str:
-        """Return the missing input of a panel that shows these metrics, as text; empty if nothing is missing."""
+    def missing_input(self, *metrics: str) -> str:
+        """Return text that names the missing input of a panel with these metrics; empty if nothing is missing."""
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics

@@ -3,7 +3,7 @@ import { say } from "./net.js";
 import { digits, make } from "./elements.js";
 
 const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
-  ["background", "empty glass", "none"]];
+  ["background", "empty glass", "optional"]];
 
 // `ask(files)` gives the scene, of which the new calibration is a part; `found(facts)` is called with it.
 export class CalibrationCard {
@@ -18,10 +18,10 @@ export class CalibrationCard {
     rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));
     this.button = make("button", { id: "calibrate", onclick: () => this.run(ask, found) }, "Find scale and transform");
     this.said = make("div");
-    this.image = make("img", { id: "calibration-picture", alt: "What the calibration found in its pictures" });
-    this.link = make("a", { target: "_blank", rel: "noopener", title: "Open it in its own size", hidden: true }, this.image);
+    this.image = make("img", { id: "calibration-picture", alt: "Calibration pictures with the detected outlines" });
+    this.link = make("a", { target: "_blank", rel: "noopener", title: "Open at full size", hidden: true }, this.image);
     this.element = make("details", { className: "card", id: "calibration" }, make("summary", {}, "Calibrate from pictures"),
-      make("p", { className: "soft" }, "Drag the views first: the discs are looked for in them. Writes calibration.toml, and its picture, beside the scene."),
+      make("p", { className: "soft" }, "Place the views first: the discs are searched for inside them. Writes calibration.toml and its overlay next to the scene."),
       rows, make("div", { className: "bar" }, this.button), this.said, this.link);
   }
   async run(ask, found) {
@@ -30,7 +30,7 @@ export class CalibrationCard {
     say("");
     try {
       const facts = await ask(asked), { mm_per_px: scale, warnings } = facts.calibrated;
-      this.said.replaceChildren(make("p", { className: "good" }, `${digits(scale, 5)} mm per px. Look whether the outlines lie on what they are of:`),
+      this.said.replaceChildren(make("p", { className: "good" }, `${digits(scale, 5)} mm per px. Check that the outlines match the ring and the discs:`),
         ...warnings.map(one => make("p", { className: "warned" }, one)));
       this.image.removeAttribute("src");  // the same address, another picture
       found(facts);

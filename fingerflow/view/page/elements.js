@@ -48,3 +48,6 @@ export function digits(value, count = 4) {
 
 // "gross_contact_area" -> "gross contact area", "strain:exx" -> "strain exx"
 export const words = key => key.replace(/[_:]/g, " ");
+
+// Heading of a table of the scene: "forces" -> "Forces".
+export const title = table => table[0].toUpperCase() + table.slice(1);

@@ -1,5 +1,5 @@
 // Inputs for the keys of a scene, made from the table that the scene is checked with.
-import { make, select, words } from "./elements.js";
+import { make, select, title, words } from "./elements.js";
 
 const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 31, 2], "contact.gross_radius_px": [1, 40, 1] };
 const OPEN = new Set(["contact"]);
@@ -12,7 +12,7 @@ export function makeForms(setup, changed) {
   for (const [table, { help, keys }] of Object.entries(setup.forms)) {
     if (!keys.length || table === "stream") continue;
     const rows = keys.map(key => row(`${table}.${key.name}`, key, changed, updates));
-    const group = make("details", { open: OPEN.has(table) }, make("summary", { title: help }, table[0].toUpperCase() + table.slice(1)), rows);
+    const group = make("details", { open: OPEN.has(table) }, make("summary", { title: help }, title(table)), rows);
     group.dataset.table = table;
     made.push(group);
   }

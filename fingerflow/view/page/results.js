@@ -46,7 +46,7 @@ export class ResultsView {
     const has = name => this.facts.curves.some(one => one.key.startsWith(name));
     $("layers").replaceChildren(...[
       this.maps.size ? make("label", {}, "Map ", this.mapBox()) : null,
-      toggle("contact", this.layer.contact, on => this.set("contact", on), "Real contact, found again with the settings of the result"),
+      toggle("contact", this.layer.contact, on => this.set("contact", on), "Real contact, recomputed with the settings of the result"),
       has("ellipse") ? toggle("ellipse", this.layer.ellipse, on => this.set("ellipse", on)) : null,
       this.facts.points ? toggle("points", this.layer.points, on => this.set("points", on)) : null,
       this.arrows ? toggle("displacement", this.layer.arrows, on => this.set("arrows", on),
@@ -54,7 +54,7 @@ export class ResultsView {
       this.facts.cells.length ? toggle("regions", this.layer.regions, on => this.set("regions", on)) : null,
       this.facts.points ? make("button", { id: "region", onclick: () => this.startRegion() }, "Draw region") : null,
     ].filter(Boolean));
-    $("hint").textContent = this.facts.points ? "Click a point for its history; wheel to zoom, double click for all." : "";
+    $("hint").textContent = this.facts.points ? "Click a point for its curve; scroll to zoom, double-click to see all." : "";
     $("save-csv").hidden = !this.facts.points;
     $("chart-csv").hidden = false;
     this.panel();
@@ -70,7 +70,7 @@ export class ResultsView {
     else this.app.picture.redraw();
   }
   mapBox() {
-    const group = { point: "of points", triangle: "of triangles" };
+    const group = { point: "per point", triangle: "per triangle" };
     const options = [{ key: "", label: "none", group: "" }, ...[...this.maps.values()].map(one =>
       ({ key: one.key, label: labelOf(one.key), group: group[one.of] }))];
     return select(options, this.shown, key => this.show(key), { id: "map" });
@@ -85,19 +85,19 @@ export class ResultsView {
   panel() {
     const { facts } = this, wrong = facts.recording_error;
     this.numbers = make("dl", { className: "numbers" });
-    this.point = make("div", { id: "point" }, make("p", { className: "soft" }, "Click a point, or draw a region around some."));
+    this.point = make("div", { id: "point" }, make("p", { className: "soft" }, "Click a point, or draw a region around several."));
     $("panel").replaceChildren(...[
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
-      facts.points ? make("div", { className: "card" }, make("h2", {}, "Chosen points"), this.point) : null,
+      facts.points ? make("div", { className: "card" }, make("h2", {}, "Selected points"), this.point) : null,
       make("div", { className: "card" }, make("div", { className: "bar" }, make("h2", {}, "Report"),
         make("button", { id: "report", disabled: Boolean(wrong), onclick: () => this.report() }, "Write report"), make("span", { id: "report-link" })),
         make("div", { id: "report-progress" })),
       make("details", { className: "card", open: facts.warnings.length > 0 && facts.warnings.length < 3 },
         make("summary", {}, facts.warnings.length ? `Warnings of this result (${facts.warnings.length})` : "No warnings"),
         facts.warnings.map(one => make("p", { className: "warned" }, one))),
-      wrong ? make("div", { className: "card wrong" }, `The recording is not where it was: ${wrong}`) : null,
+      wrong ? make("div", { className: "card wrong" }, `The recording cannot be opened: ${wrong}`) : null,
       make("div", { className: "card" }, make("p", { className: "soft" },
-        "NaN: not known, and drawn as a grey ring or a gap. A point has no field before the contact reaches it, nor while it is lost.")),
+        "NaN means unknown, drawn as a grey ring or a gap. A point has no values before it touches and while it is lost.")),
     ].filter(Boolean));
   }
   async frame(k) {
@@ -142,7 +142,7 @@ export class ResultsView {
     const { numbers, arrays: found } = this.found, places = this.places(), of = this.maps.get(this.found.key)?.of;
     const position = found.position?.values;
     if (!Object.keys(this.views).length) {
-      pen.text(14, 26, "The recording is not where it was: curves and tables alone.", { fill: "#fff" });
+      pen.text(14, 26, "Recording not found: curves and tables only.", { fill: "#fff" });
       return;
     }
     if (of === "triangle" && position && this.triangles && found.shown) {
@@ -184,7 +184,7 @@ export class ResultsView {
         box.addEventListener("change", () => {
           const range = [...this.range];
           range[k] = +box.value / shown(this.shown, 1);
-          if (!(range[0] < range[1])) return say("the range of colours needs a smaller number on its left");
+          if (!(range[0] < range[1])) return say("The smallest value of the colour scale must be below the largest.");
           this.range = this.found.range = range;
           say("");
           this.legend();
@@ -195,14 +195,14 @@ export class ResultsView {
       const ring = make("i", { className: "ring" });
       ring.style.borderColor = UNKNOWN;
       entries.push(make("span", { className: "wide" }, limit(0), bar, limit(1), ` ${unitOf(this.shown)}  ${one.said}`));
-      entries.push(make("span", {}, one.of === "point" ? ring : "", one.of === "point" ? "not known (NaN)" : "no colour: NaN"));
+      entries.push(make("span", {}, one.of === "point" ? ring : "", one.of === "point" ? "unknown (NaN)" : "no colour: NaN"));
     }
     if (this.shown.startsWith("principal_strains")) entries.push(make("span", {}, "— direction of the major principal strain"));
     if (this.layer.contact) entries.push(mark("mask", "real contact"));
     if (this.layer.ellipse && this.facts.curves.some(({ key }) => key.startsWith("ellipse"))) entries.push(mark("ellipse", "gross contact (ellipse)"));
     if (this.layer.arrows) entries.push(mark("arrow", `displacement × ${this.arrows}`));
-    if (this.layer.points && this.facts.points) entries.push(make("span", {}, make("i", { className: "lost" }, "×"), "lost, where it was last"));
-    if (this.layer.regions && this.facts.cells.includes("stuck_region")) entries.push(mark("stuck", "border of the skin that sticks"));
+    if (this.layer.points && this.facts.points) entries.push(make("span", {}, make("i", { className: "lost" }, "×"), "lost (last position)"));
+    if (this.layer.regions && this.facts.cells.includes("stuck_region")) entries.push(mark("stuck", "border of the stick region"));
     $("legend").replaceChildren(...entries);
   }
   // Points.
@@ -229,7 +229,7 @@ export class ResultsView {
   }
   tell() {
     if (!this.chosen.length) {
-      return this.point.replaceChildren(make("p", { className: "soft" }, "Click a point, or draw a region around some."));
+      return this.point.replaceChildren(make("p", { className: "soft" }, "Click a point, or draw a region around several."));
     }
     const k = this.app.frame, found = this.found.arrays, key = this.history?.key, label = key && labelOf(key);
     const units = key && unitOf(key), here = key && shown(key, this.history.arrays.values.values[k]);
@@ -243,8 +243,8 @@ export class ResultsView {
       ].map(([name, value, unit]) => make("div", {}, make("dt", {}, name), make("dd", {}, value), make("dd", { className: "unit" }, unit)))),
       make("p", { className: "soft" }, `Over all frames: ${counts.map(([name, n]) => `${words(name)} in ${n}`).join(", ")}.`));
     }
-    this.point.replaceChildren(make("p", {}, `${this.chosen.length} points, drawn around in frame ${this.regionFrame + this.first}: the median of ${label} is drawn below.`),
-      make("p", { className: "soft" }, `${digits(here)} ${units} now, of ${this.history?.arrays.known.values[k]} points with a value. The same points in all frames; points count alike, not by area.`));
+    this.point.replaceChildren(make("p", {}, `${this.chosen.length} points, selected in frame ${this.regionFrame + this.first}: their median ${label} is plotted below.`),
+      make("p", { className: "soft" }, `${digits(here)} ${units} in this frame, from ${this.history?.arrays.known.values[k]} points with a value. The same points in all frames, with equal weights.`));
   }
   startRegion() {
     this.drawing = this.drawing ? null : [];
@@ -269,7 +269,7 @@ export class ResultsView {
     }
     this.region = outline;
     this.regionFrame = this.app.frame;
-    if (!inside.size) say("no tracked point lies in what was drawn");
+    if (!inside.size) say("No tracked point lies inside the region.");
     else say("");
     this.choose([...inside]);
   }
@@ -294,7 +294,7 @@ export class ResultsView {
     });
     $("course-bar").replaceChildren(make("h2", {}, "Curves"), make("label", {}, "against ", select(numeric, this.x, key => { this.x = key; this.curvesChanged(); }, { id: "against" })),
       make("details", { className: "menu", id: "curve-menu" }, make("summary", {}, "Choose curves"), make("div", {}, boxes)));
-    $("chart-hint").textContent = "Click or drag for a frame. A gap is NaN.";
+    $("chart-hint").textContent = "Click or drag to choose a frame. Gaps are NaN.";
   }
   async courses() {
     if (!this.curves.size) return;

@@ -10,11 +10,11 @@ export async function follow(of, state, place) {
   place.replaceChildren(bar, words, make("button", { onclick: () => post("api/end", { of }) }, "End"));
   while (state.running) {
     if (state.of) bar.value = state.done / state.of;
-    words.textContent = state.of ? ` ${state.step} ${state.done} of ${state.of} ` : " starts ";
+    words.textContent = state.of ? ` ${state.step} ${state.done} of ${state.of} ` : " starting ";
     await new Promise(later => setTimeout(later, ASKED_MS));
     state = await get(`api/progress?of=${of}`);
   }
   const said = state.said.map(one => make("p", { className: "warned" }, one.replace(/^warning: /, "")));
-  place.replaceChildren(...(state.failed ? [make("p", { className: "wrong" }, "It did not end well:"), ...said] : said.slice(0, -1)));
+  place.replaceChildren(...(state.failed ? [make("p", { className: "wrong" }, "The command failed:"), ...said] : said.slice(0, -1)));
   return state;
 }

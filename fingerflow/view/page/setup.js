@@ -1,6 +1,6 @@
 // Before processing: views, contact, points and forces of a scene that is being set up.
 import { arrays, get, newest, post, say, unsay } from "./net.js";
-import { $, allShown, digits, labelOf, make, shown, titleOf, toggle, unitOf } from "./elements.js";
+import { $, allShown, digits, labelOf, make, shown, title, titleOf, toggle, unitOf } from "./elements.js";
 import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
 import { CalibrationCard } from "./calibration.js";
 import { makeForms } from "./forms.js";
@@ -34,14 +34,14 @@ export class Setup {
     app.picture.gestures = { down: (...a) => this.hold(...a), move: (...a) => this.drag(...a), up: () => this.drop(),
       hover: (x, y) => this.drawing ? "crosshair" : this.cursor(x, y) };
     $("layers").replaceChildren(
-      toggle("contact", this.layer.contact, on => this.set("contact", on), "Where process will find real contact"),
+      toggle("contact", this.layer.contact, on => this.set("contact", on), "Real contact that process will find"),
       toggle(this.sensor ? "markers" : "points", this.layer.points, on => this.set("points", on), "The points that process would track"),
-      toggle("topography on contact", this.layer.blend, on => this.set("blend", on),
-        "The topography view laid over the contact view by the calibration: ridges should fall on ridges"),
-      make("button", { id: "region", title: "Where skin may touch (contact view), or where points are seeded (topography view)",
+      toggle("Check calibration: overlay the views", this.layer.blend, on => this.set("blend", on),
+        "Topography view over the contact view, aligned by the calibration: ridges should match ridges"),
+      make("button", { id: "region", title: "Limits contact (in the contact view) or tracked points (in the topography view) to a region",
         onclick: () => this.startRegion() }, "Draw region"),
-      make("button", { id: "no-region", hidden: true, onclick: () => this.noRegions() }, "No region"));
-    $("hint").textContent = "Drag a view or its edges; wheel to zoom, double click for all.";
+      make("button", { id: "no-region", hidden: true, onclick: () => this.noRegions() }, "Remove regions"));
+    $("hint").textContent = "Drag a view or its edges; scroll to zoom, double-click to see all.";
     $("save-csv").hidden = true;
     this.panel();
     app.chart.show({ label: "", values: [] }, []);
@@ -55,7 +55,7 @@ export class Setup {
     this.app.show();
   }
   panel() {
-    if (!this.facts.draft) return $("panel").replaceChildren(make("p", {}, "A result was opened. Name its scene to set it up."));
+    if (!this.facts.draft) return $("panel").replaceChildren(make("p", {}, "A result is open, without its scene file. Run fingerflow view with the scene file to change settings."));
     this.form = makeForms(this.facts, (key, value) => this.edit(key, value));
     this.status = make("div", { id: "setup-status" });
     this.asking = make("div");
@@ -72,12 +72,13 @@ export class Setup {
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
         this.asking, this.status,
-        toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
+        toggle("Also compute principal strains and shear", false, on => { this.all = on; },
+          "And all other variables that a default run leaves out"),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
       this.calibration.element,
       make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
-      make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
+      make("details", { className: "card" }, make("summary", {}, "Scene file as it will be written"), make("pre", { id: "text" })));
     this.update();
     this.ask(this.question);
   }
@@ -104,11 +105,15 @@ export class Setup {
     this.calibration.show(facts.calibration_picture);
     $("text").textContent = facts.text;
     const other = facts.problems.map(({ key, said }) => make("li", {}, make("b", {}, key), ` ${said}`));
+    const tables = [...new Set(facts.problems.map(({ key }) => title(key.split(".")[0])))].join(", ");
+    const refused = other.length ? `${other.length} problem${other.length > 1 ? "s" : ""} in ${tables}`
+      : facts.recording_error || this.why ? "see the error above" : "";
     const warned = [...(facts.recording?.warnings || []), ...(this.forces?.warnings || []), ...(this.points?.warnings || [])];
     this.status.replaceChildren(...[
       facts.recording_error ? make("p", { className: "wrong" }, facts.recording_error) : null,
-      other.length ? make("ul", { className: "wrong", id: "problems" }, other)
-        : make("p", { className: "good" }, facts.stored && !this.pending.size ? `${facts.draft} has these settings.` : "Complete. Not written yet."),
+      refused ? make("p", { className: "wrong" }, `Cannot process: ${refused}`)
+        : make("p", { className: "good" }, facts.stored && !this.pending.size ? `${facts.draft} has these settings.` : "Complete. Not written yet: choose Write scene."),
+      other.length ? make("ul", { className: "wrong", id: "problems" }, other) : null,
       ...[...new Set(warned)].map(one => make("p", { className: "warned" }, one)),
     ].filter(Boolean));
     $("process").disabled = !facts.stored || this.pending.size > 0 || other.length > 0;
@@ -116,6 +121,7 @@ export class Setup {
   }
   edit(key, value) {
     this.pending.set(key, value);
+    this.why = undefined;
     say("");  // here, and not where it has succeeded: that is when another may have failed
     this.edited();
   }
@@ -186,7 +192,7 @@ export class Setup {
     $("courses").hidden = !names.length;
     if (!names.length) return;
     $("course-bar").replaceChildren(make("h2", {}, "Forces at the times of the frames"));
-    $("chart-hint").textContent = "Click for a frame. Low-passed to the frame rate, as process does.";
+    $("chart-hint").textContent = "Click to choose a frame. Low-pass filtered at half the frame rate, as in process.";
     $("chart-csv").hidden = true;
     this.app.chart.show({ label: titleOf("time"), values: found.time.values },
       names.map(name => ({ label: labelOf(name), units: unitOf(name), values: allShown(name, found[name].values) })));
@@ -211,8 +217,8 @@ export class Setup {
     ];
     this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value]) =>
       make("div", {}, make("dt", {}, labelOf(name)), make("dd", {}, digits(shown(name, value)), make("small", {}, ` ${unitOf(name)}`)))));
-    const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame does not count (recording.first_frame, last_frame)." : "");
-    const waits = this.facts.problems.length ? "Contact shows when the settings are complete." : this.layer.contact ? "Loading …" : "";
+    const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame lies outside recording.first_frame to last_frame: it is not processed." : "");
+    const waits = this.facts.problems.length ? "The contact is shown once the settings are complete." : this.layer.contact ? "Loading …" : "";
     if (why || (waits && !rows.some(([, value]) => value !== undefined))) this.numbers.append(make("p", { className: "soft" }, why || waits));
     if (this.sensor) this.legend();  // its markers are those of the frame
     if (this.forces) this.app.chart.cursor(place);
@@ -275,7 +281,7 @@ export class Setup {
     $("region").classList.remove("on");
     const within = ({ rows, columns }) => x >= columns[0] && x < columns[1] && y >= rows[0] && y < rows[1];
     const [name, view] = Object.entries(this.views).find(([, one]) => within(one)) || [];
-    if (!view) return say("begin within a view to draw its region");
+    if (!view) return say("Start inside a view to draw its region.");
     const clamped = (value, [first, end]) => Math.max(0, Math.min(end - first - 1, Math.round(value - first)));
     const corners = outline.filter((_, k) => k % every === 0).map(([px, py]) => [clamped(px, view.columns), clamped(py, view.rows)]);
     for (const other of ["ellipse", "mask"]) this.pending.set(`views.${name}.region.${other}`, null);

@@ -117,8 +117,8 @@ def test_the_mixed_model_by_hand_and_where_there_is_none() -> None:
     assert found.effect == pytest.approx(0.5 / 2.5)
     assert (found.trials, found.participants, found.missing) == (4, 1, 2)
     assert "no interval from 1 participants" in found.reason
-    assert "does not vary" in mixed_model([1.0, 1.0], [0, 1], [0, 0], [0, 0]).reason
-    assert "does not vary" in mixed_model([], [], [], []).reason
+    assert "equal within each participant" in mixed_model([1.0, 1.0], [0, 1], [0, 0], [0, 0]).reason
+    assert "equal within each participant" in mixed_model([], [], [], []).reason
     with pytest.raises(ValueError, match="give one of each a trial"):
         mixed_model([1.0], [0, 1], [0, 0], [0, 0])
 

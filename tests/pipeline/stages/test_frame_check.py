@@ -17,7 +17,7 @@ from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, LOADING
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
-from tests.small_trials import SPOILED, dim_contact, edit_scene, warnings_of
+from tests.small_trials import SPOILED, dim_contact, edit_scene, other_noise, warnings_of
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
@@ -36,7 +36,7 @@ KINDS: dict[str, tuple[Callable[[Frame, int], Frame], str]] = {
     **{name: (partial(_of_itself, spoil), status) for name, (spoil, status) in SPOILED.items()},
     "dim topography view": (lambda frames, k: np.roll(dim_contact(np.roll(frames[k], WIDTH, 1)), WIDTH, 1), FAR),
     "noise": (lambda frames, k: np.random.default_rng(k).integers(0, 256, frames[k].shape), FAR),
-    "other moment": (lambda frames, k: frames[(k + FRAMES // 2) % FRAMES], FAR),
+    "other moment": (lambda frames, k: other_noise(frames[(k + FRAMES // 2) % FRAMES], k), FAR),
 }
 OF_FORCES = {variable.name for variable in LOADING}
 AREAS = ("real_contact_area", "gross_contact_area", "contact_threshold")
@@ -144,7 +144,7 @@ def test_a_frame_that_comes_twice_is_found(clean: Clean, tmp_path: Path) -> None
     half = np.repeat(clean.frames[::2], 2, axis=0)
     result = process(with_frames(clean, half, tmp_path), ["real_contact_area"])
     assert status_of(result) == {}
-    assert "50% of the frames repeat the one before" in warnings_of(result)
+    assert "50% of the frames repeat another one" in warnings_of(result)
 
 
 @pytest.mark.parametrize("direction", ["forward", "backward"])

@@ -79,15 +79,15 @@ def _shared(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return root
 
 
-def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES) -> RunContext:
+def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES, kept: int = 0) -> RunContext:
     """Key frame 0: its template's noise is in every later position; a position's covariance is that of both images.
 
-    From the frame `known` on every point is lost."""
+    From the frame `known` on every point but the first `kept` is lost."""
     draw = np.random.default_rng(seed)
     noise = motion.noise / np.sqrt(2) * (_shared(points) @ draw.standard_normal((FRAMES, *points.shape)))
     exact = positions(motion, points, np.arange(FRAMES, dtype=float)[:, None])
     pixels = exact / MM_PER_PX + noise - noise[0]
-    pixels[known:] = np.nan
+    pixels[known:, kept:] = np.nan
     deviation = np.full(pixels.shape[:2], motion.noise, np.float32)
     deviation[0] = 0
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
@@ -244,7 +244,8 @@ def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
 
 
 def test_there_is_no_energy_only_where_nothing_touches() -> None:
-    """Where all points of a contact are lost, nobody knows its energy; at rest there is none beyond its deviation."""
+    """Where all points of a contact are lost, or seven in ten, nobody knows its energy; at rest there is none beyond
+    its deviation."""
     motion, points = Motion((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), 0.05), material()
     energies = []
     for seed in range(20):
@@ -252,12 +253,13 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
         energies.append([values_of(trial, name)[-1] for name in NAMES["energy"]])
     energy, deviation = np.array(energies).T
     assert abs(energy.mean()) < 0.75 * deviation.mean()
-    lost = tracked(motion, points, 0, known=20)
-    lost.stage(ContactStage).series["gross_contact_area"][3] = 0
-    found = values_of(measured(lost), "strain_energy")
-    assert np.isnan(found[20:]).all()
-    assert found[3] == 0
-    assert np.isfinite(found[15:20]).all()
+    for kept in (0, 3 * len(points) // 10):
+        lost = tracked(motion, points, 0, known=20, kept=kept)
+        lost.stage(ContactStage).series["gross_contact_area"][3] = 0
+        found = values_of(measured(lost), "strain_energy")
+        assert np.isnan(found[20:]).all()
+        assert found[3] == 0
+        assert np.isfinite(found[15:20]).all()
 
 
 def test_medians_state_what_is_not_known_of_the_contact() -> None:

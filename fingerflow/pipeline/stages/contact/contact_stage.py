@@ -15,6 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.morphology import dilate
+from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import read_frames
@@ -86,6 +87,7 @@ class ContactStage(Stage):
         self.skin = self._skin(glass, black)
         if self.skin is not None:
             self.warnings.extend(plausibility.of_ridges(ridges.period_px(self.skin), self.inputs.mm_per_px))
+        self._check_view(glass, black)
         if "gross_contact_region" in self.trial.asked:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
@@ -132,6 +134,7 @@ class ContactStage(Stage):
         normal = self.trial.stage(LoadingStage).normal
         if self.inputs.scene.kind != "slip":
             self.warnings.extend(plausibility.of_missing_frames(gross, normal, first_frame))
+        self.warnings.extend(view_faults.of_strip(self.series["ellipse_semi_axes"], gross, first_frame))
         if normal is not None:
             self.warnings.extend(plausibility.of_pressure(normal, gross))
             self.warnings.extend(plausibility.of_onset(normal, gross, first_frame))
@@ -165,6 +168,30 @@ class ContactStage(Stage):
         """
         first = int(np.argmax(self._usable))
         return dilate(self._region_of(first) | self._largest, margin_px)
+
+    def _check_view(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> None:
+        """Warn of what lies in the view beside the finger, in the reference frame; of moved glass in others too."""
+        dark, region = np.float32(0) if black is None else black, self._largest[0, 0].numpy()
+        light = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))[0][0, 0].cpu().numpy()
+        self.warnings.extend(view_faults.of_background_lines(light))
+        if region.any():
+            contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[self.reference_frame]])))
+            period = np.nan if self.skin is None else ridges.period_px(self.skin)
+            self.warnings.extend(view_faults.of_unlit_glass(region, light, self.inputs.scene.contact.gross_radius_px))
+            if np.isfinite(period):
+                picture = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0] - dark
+                gain = float(contact.illumination_gain[0])
+                lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
+                self.warnings.extend(view_faults.of_shadow(picture / lit, region, period))
+                if contact.real_contact_mask is not None:
+                    self.warnings.extend(view_faults.of_sweat(contact.real_contact_mask[0, 0], period))
+        usable = np.flatnonzero(self._usable)
+        for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1]))):
+            picture = self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark
+            number = frame + self.inputs.scene.recording.first_frame
+            if moved := view_faults.of_moved_glass(picture, light, region, number):
+                self.warnings.extend(moved)
+                break
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
@@ -236,11 +263,16 @@ class ContactStage(Stage):
         frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
+            light, black = (
+                one[0, 0].cpu().numpy()
+                for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
+            )
+            seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             raise FingerflowError(
-                f"{self.inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "
-                f"most contact was "
-                f"expected, no part of the contact view is darker than the background by more than its noise. Check "
-                f"[views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold to "
-                f"a number."
+                f"{self.inputs.recording.path}: no contact is found. In frame {self.reference_frame}, where most "
+                f"contact was expected, "
+                + (seen if seen else "the contact view is that of the background")
+                + f"; check [views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold "
+                f"to a number."
             )
         return threshold

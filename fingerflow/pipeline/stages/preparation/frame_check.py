@@ -10,23 +10,23 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_distances import LONGEST, block_distances
-from fingerflow.tracker.frame_returns import REPEATED_SHARE, jumps_and_returns, repeats
+from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, key_of
+from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
+from fingerflow.tracker.frame_returns import jumps_and_returns
 
-_AT_ONCE = 64  # frames whose distances are computed together
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
     _UNREADABLE: "frames that the recording cannot give whole",
     _NOT_FINITE: "frames with pixels that are NaN or infinite",
     _DARK_FRAME: "dark frames",
     _SATURATED_FRAME: "saturated frames",
-    _REPEATED: "frames that repeat the one before",
+    _REPEATED: "frames that repeat another one",
     _RETURNS: "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
 }
 
 
 class FrameCheckStage(Stage):
-    """Stage that detects unusable frames by means over blocks of pixels in each view.
+    """Stage that detects unusable frames by means over blocks of pixels, and samples of them, in each view.
 
     An unusable frame is part of no result: its values are NaN, and results before and after it are as if it had not
     been recorded.
@@ -49,11 +49,9 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._blocks: list[list[NDArray[np.float32]]] = [
-            [] for _ in self._views
-        ]  # block means of frames that wait for comparison,
-        self._compared = [0] * len(self._views)  # preceded by those of so many frames already compared
+        self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames of each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
+        self._keys: list[bytes] = []
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
@@ -69,25 +67,21 @@ class FrameCheckStage(Stage):
     def step(self, batch: Batch) -> None:
         assert batch.frames is not None
         indices = batch.indices
+        every = []
         for k, view in enumerate(self._views):
-            blocks = _blocks(view.crop(batch.frames))
-            if batch.frames.dtype.kind == "f":
-                whole = np.isfinite(view.crop(batch.frames)).all(axis=(1, 2))
-                self._status[indices[~whole]] = _NOT_FINITE
+            frames = view.crop(batch.frames)
+            blocks = _blocks(frames)
+            if frames.dtype.kind == "f":
+                self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = _NOT_FINITE
                 blocks = np.nan_to_num(blocks, nan=0.0, posinf=0.0, neginf=0.0)
             if k == 0:
                 self._light[indices] = blocks.mean((1, 2)) - self._black
                 self._saturated[indices] = (blocks > self._top).mean((1, 2))
-            self._blocks[k].append(blocks)
-            if sum(map(len, self._blocks[k])) >= _AT_ONCE:
-                self._compare(k)
-
-    def _compare(self, view: int) -> None:
-        """Compute how much the latest frames of a view differ from earlier ones, to detect repeated frames."""
-        blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
-        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
-        self._blocks[view] = [blocks[-LONGEST - 1 :]]
-        self._compared[view] = len(self._blocks[view][0])
+            every.append(blocks)
+            samples = PixelSamples.of(frames)
+            self._distances[k].append(squared_distances_before(samples, self._before[k]))
+            self._before[k] = samples.last(LONGEST + 1, self._before[k])
+        self._keys += map(key_of, zip(*every, strict=True))
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -102,17 +96,16 @@ class FrameCheckStage(Stage):
         status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
         if self._glass_saturated < SATURATED_SHARE:
             status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
-        for view in range(len(self._views)):
-            self._compare(view)
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
-        self._distances, self._blocks = [], []  # free memory: more than the results of a frame without points
-        twice = repeats(distances) & (status == _USABLE)
+        twice = copies(self._keys, distances, status == _USABLE)
+        # Free memory: more than the results of a frame without points.
+        self._distances, self._keys, self._before = [], [], []
         share = float(twice.mean())
         if share <= REPEATED_SHARE:
             status[twice] = _REPEATED
         else:
             self.warnings.append(
-                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat the one before: the "
+                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat another one: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
         status[jumps_and_returns(distances, status == _USABLE)] = _RETURNS

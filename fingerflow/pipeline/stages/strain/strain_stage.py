@@ -131,8 +131,10 @@ class StrainStage(Stage):
         rim = beside * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
         field = self._onset_field(batch.of(DisplacementStage), frames)
-        for frame, whole in zip(frames, self._whole.of_frames(*field, border), strict=True):
-            if np.isfinite(whole.energy):
+        # Where too few triangles are known for a sum, points are too few for a field.
+        known = np.isfinite(between)
+        for frame, whole, enough in zip(frames, self._whole.of_frames(*field, border), known, strict=True):
+            if enough and np.isfinite(whole.energy):
                 self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
 
     def _onset_field(

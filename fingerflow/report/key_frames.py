@@ -1,4 +1,4 @@
-"""Key frames of a trial, shown as maps and columns of numbers: selected by force, slip, displacement or contact."""
+"""Key frames of a trial for maps and tables: selected by force, load ratio, displacement or contact area."""
 
 from typing import NamedTuple
 
@@ -14,16 +14,15 @@ _APART = 0.02  # least distance of two, as a share of the frames
 _LOADED = 0.2  # share of the largest normal force above which a load ratio is used
 
 
-class Telling(NamedTuple):
-    """Key frame of a trial: index in the result, and reason for the selection."""
+class ReportFrame(NamedTuple):
+    """Frame that a report shows in detail: index in the result, and reason for the selection."""
 
     frame: int
     why: str
 
 
-def telling_frames(result: xr.Dataset) -> list[Telling]:
-    """Select at most five key frames of a result by normal force, load ratio, displacement or contact, in order of
-    time.
+def key_frames(result: xr.Dataset) -> list[ReportFrame]:
+    """Select up to five key frames of a result, in order of time: at the largest force, for example.
 
     Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
     and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
@@ -34,7 +33,7 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
     known = _known(result)
     if not known.any():
         return []
-    found: list[Telling] = []
+    found: list[ReportFrame] = []
     pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
     if "gross_slip" in result:
         found += _of_a_sensor(result, known)
@@ -44,11 +43,11 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
         found += _of_a_press(result["normal_force"].values, known)
     if len(found) < 2:
         found += _of_contact(result, known)
-    return _apart(found, result.sizes["frame"])
+    return _select_spaced(found, result.sizes["frame"])
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return a mask (F,) of frames with known fields, or with contact if the result has no fields."""
+    """Return a mask (F,) of frames with known divergence or motion, or with contact if neither was computed."""
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -57,29 +56,29 @@ def _known(result: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(area) > 0)
 
 
-def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[Telling]:
+def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[ReportFrame]:
     press = np.where(known & np.isfinite(force), force, -np.inf)
     top = int(np.argmax(press))
     if not press[top] > 0:
         return []
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
-    found = [Telling(top, "largest force")]
+    found = [ReportFrame(top, "largest force")]
     # Higher levels first, as they show more.
-    return found + [Telling(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
+    return found + [ReportFrame(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
 
 
-def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
     normal, ratio = result["normal_force"].values, np.abs(result["load_ratio"].values)
     loaded = known & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
     if not loaded.any():
         return []
     top, half = _largest_and_half(np.where(loaded, ratio, -np.inf), "T/N")
-    last = Telling(int(np.flatnonzero(loaded)[-1]), "last frame")
-    between = Telling((top.frame + last.frame) // 2, "sliding")
+    last = ReportFrame(int(np.flatnonzero(loaded)[-1]), "last frame")
+    between = ReportFrame((top.frame + last.frame) // 2, "sliding")
     return [top, last, half, *([between] if known[between.frame] else [])]
 
 
-def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
     found = []
     if "contact_displacement" in result:
         length = np.linalg.norm(result["contact_displacement"].values, axis=1)
@@ -87,30 +86,30 @@ def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
             found = _largest_and_half(np.where(known, np.nan_to_num(length), 0.0), "displacement")
     slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
     if len(slips):
-        found.append(Telling(int(slips[0]), "first gross slip"))
+        found.append(ReportFrame(int(slips[0]), "first gross slip"))
     return found
 
 
-def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
     area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(known))
     area = np.where(known, np.nan_to_num(area), 0.0)
     touching = np.flatnonzero(area > 0)
     if not len(touching):
-        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+        return [ReportFrame(int(np.flatnonzero(known)[-1]), "last frame")]
     top, half = _largest_and_half(area, "contact")
-    return [top, Telling(int(touching[-1]), "last frame in contact"), half]
+    return [top, ReportFrame(int(touching[-1]), "last frame in contact"), half]
 
 
-def _largest_and_half(values: NDArray[np.floating], name: str) -> list[Telling]:
-    """Return two key frames: the frame of the largest value, and the first frame with at least half of it."""
+def _largest_and_half(values: NDArray[np.floating], name: str) -> list[ReportFrame]:
+    """Return two key frames of a series (F,): where it is largest, and where it first reaches half of that."""
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
-    return [Telling(top, f"largest {name}"), Telling(half, f"half of the largest {name}")]
+    return [ReportFrame(top, f"largest {name}"), ReportFrame(half, f"half of the largest {name}")]
 
 
-def _apart(found: list[Telling], count: int) -> list[Telling]:
-    """Return up to five candidate key frames, in order of time and more than 2 % of the recording from each other."""
-    kept: list[Telling] = []
+def _select_spaced(found: list[ReportFrame], count: int) -> list[ReportFrame]:
+    """Select up to five candidate frames that lie more than 2 % of `count` frames apart, and sort them by time."""
+    kept: list[ReportFrame] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):
             kept.append(one)

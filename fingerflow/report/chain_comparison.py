@@ -1,4 +1,4 @@
-"""Comparison of a measured press with the simulated skin chain under the same force: contact area and divergence."""
+"""Comparison of a measured press with the skin-chain model (a row of elastic elements) under the same normal force."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,8 +29,8 @@ _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larg
 
 
 @dataclass(frozen=True)
-class BesideChain:
-    """Measured press at T known forces, with predictions (K, T) of the skin chain for K friction coefficients.
+class ChainComparison:
+    """Contact area and divergence at T forces: measured (T,), and of skin chains with K frictions (K, T).
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
@@ -47,7 +47,7 @@ class BesideChain:
     parameters: str
 
     def notes(self) -> list[str]:
-        """Return sentences on what comparing a press with the skin chain assumes, and on the fitted parameters."""
+        """Return sentences about the assumptions of the comparison and about the fitted parameters."""
         assert self.fit.tissue_interval is not None
         low, high = self.fit.tissue_interval
         given = PARAMETERS[self.parameters]
@@ -64,8 +64,8 @@ class BesideChain:
         ]
 
 
-def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
-    """Simulate the skin chain under a trial's force at several frictions, with tissue stiffness fitted to contact area.
+def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> ChainComparison:
+    """Simulate a skin chain of fitted stiffness under the measured normal force, once for each friction coefficient.
 
     Raises:
         FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a
@@ -101,7 +101,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
     def of(values: torch.Tensor, factor: float) -> Values:
         return np.asarray(factor * values.T.numpy() * shown)
 
-    return BesideChain(
+    return ChainComparison(
         force=force[known],
         area=area[known] * shown,
         median=_MEDIAN.shown_values(result["median_divergence"].values[known]) * shown,
@@ -116,7 +116,7 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
 
 
 def inner_divergence(result: xr.Dataset) -> Values:
-    """Return the mean divergence (frames,) of points within 0.6 of the contact's radius, um/mm; NaN without points."""
+    """Return the mean divergence (F,), um/mm, of points within 0.6 of the contact ellipse; NaN without points."""
     found = np.full(result.sizes["frame"], np.nan)
     if "divergence" not in result or "position" not in result:
         return found
@@ -130,8 +130,8 @@ def inner_divergence(result: xr.Dataset) -> Values:
     return found
 
 
-def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw area, median divergence and inner mean divergence against force, measured and simulated."""
+def draw(beside: ChainComparison, width_mm: float = TWO_COLUMNS_MM) -> Figure:
+    """Draw area, median divergence and inner mean divergence against normal force, as measured and as simulated."""
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
         (_MEDIAN.axis_label, beside.median, beside.chain_median),
@@ -157,7 +157,7 @@ def draw(beside: BesideChain, width_mm: float = TWO_COLUMNS_MM) -> Figure:
 
 
 def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:
-    """Fit the tissue stiffness of the chain to contact areas at evenly spaced forces up to the largest one."""
+    """Fit the tissue stiffness of the skin chain to contact areas measured while the force rises to its maximum."""
     top = int(np.flatnonzero(large)[np.argmax(force[large])])
     rising = large & (np.arange(len(force)) <= top) & (force > 0.02 * force[top])
     at = np.unique(np.searchsorted(np.maximum.accumulate(np.where(rising, force, 0.0)),

@@ -1,0 +1,194 @@
+"""Checks of what lies in the contact view beside the finger: unlit glass, dark objects, sweat, shadows, moved camera.
+
+Each check returns warnings that name the cause. Pictures are (h, w) of the contact view; `light` is the empty glass
+without the dark level, 0 where it is not lit; `share` is the share of that light in a frame, NaN where it is not lit.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+_UNLIT_BORDER = 0.03  # of the border of the contact, beyond which the contact reaches unlit glass
+_STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes of a region, and its length, that no fingertip has
+_SOLID = 0.12  # of the real contact in patches without a valley; ridges that merge have up to 0.08
+_ALL_SOLID = 0.8  # a contact without valleys is no contact of ridges
+_SHADOW = 0.04  # light lost by the glass within a ridge period around a contact
+_STEP = 0.3  # |log ratio| of the light of successive lines of the background
+_REACH_PX, _MOVED_PX = 12, 1.5  # largest shift of the glass that is found, least that is reported
+_EDGE, _EDGE_PX = 0.02, 200  # relative slope of the light (1/px) at edges of the glass; so many pixels tell a shift
+_BETTER = 0.5  # residual with the shift over that without one, below which the glass has moved
+_SIDE = 16  # px, side of the blocks by which uneven light is measured
+_UNEVEN = 0.05  # change of light across the view that is reported
+
+
+def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
+    """Return a warning if the contact region reaches glass without light, where its border is not that of the skin."""
+    around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
+    if not around.any():
+        return []
+    unlit = float((light[around] <= 0).mean())
+    if unlit <= _UNLIT_BORDER:
+        return []
+    return [
+        f"the contact reaches glass without light along {unlit:.0%} of its border: areas, ellipse and medians are "
+        f"those of the lit part alone. Light the whole contact, or press in the middle of the light"
+    ]
+
+
+def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
+    """Return a warning if the dark region of a frame is far longer than wide, as a cable in the view.
+
+    `semi_axes` (frames, 2) mm, major first, and `gross` (frames,) mm^2 are NaN in unusable frames.
+    """
+    major, minor = semi_axes.T
+    with np.errstate(invalid="ignore"):
+        found = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
+    if not len(found):
+        return []
+    frame = found[0]
+    return [
+        f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide in "
+        f"frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
+        f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass again"
+    ]
+
+
+def of_sweat(touching: Mask, period_px: float) -> list[str]:
+    """Return a warning if much of the real contact lies in patches wider than a ridge, without a valley.
+
+    `touching` is the real contact mask; `period_px` is the ridge period.
+    """
+    count = int(touching.sum())
+    share = solid_share(touching, period_px) if count else 0.0
+    if not _SOLID < share < _ALL_SOLID:
+        return []
+    return [
+        f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease fills "
+        f"the valleys there and counts as contact. Dry finger and glass"
+    ]
+
+
+def solid_share(touching: Mask, period_px: float) -> float:
+    """Return the share of a real contact mask that discs of 0.9 ridge periods cover which lie within the mask."""
+    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.45 * period_px)))
+    return float(solid.sum() / touching.sum())
+
+
+def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
+    """Return a warning if the glass around the contact region is darker than elsewhere: the finger shades it.
+
+    `share` is corrected for the illumination gain.
+    """
+    away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
+    around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
+    kept = float(np.median(around)) if len(around) else 1.0
+    if kept >= 1 - _SHADOW:
+        return []
+    return [
+        f"the glass around the contact has lost {1 - kept:.0%} of its light: a shadow or halo of the finger lies "
+        f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+    ]
+
+
+def of_background_lines(light: Picture) -> list[str]:
+    """Return a warning if lines of the background differ in light from the lines beside them, as in a torn picture."""
+    full = float(np.quantile(light, 0.99))
+    if not full > 0:
+        return []
+    bright = np.maximum(light, 0.02 * full)
+    step = np.abs(np.diff(np.log(bright), axis=0))
+    lit = np.maximum(bright[1:], bright[:-1]) > 0.3 * full
+    wide = lit.sum(1) > 0.25 * light.shape[1]
+    torn = [bool(wide[row]) and float(np.median(step[row][lit[row]])) > _STEP for row in range(len(step))]
+    if not any(torn):
+        return []
+    row = int(np.argmax(torn)) + 1
+    return [
+        f"lines of the background differ in light from the lines beside them, from row {row} of the contact view on: "
+        f"a picture of it is torn or has lines of zeros, and no contact is seen there. Record the empty glass again"
+    ]
+
+
+def of_moved_glass(frame: Picture, light: Picture, region: Mask, number: int) -> list[str]:
+    """Return a warning if the edges of the light have moved between the background and a frame, as after a bump.
+
+    `frame` is without the dark level. Edges within the contact region do not count.
+    """
+    shift, better = _shift_of_glass(frame, light, region)
+    if not (np.hypot(*shift) >= _MOVED_PX and better < _BETTER):
+        return []
+    return [
+        f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame {number} "
+        f"({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and edges of the "
+        f"light count as contact. Record the empty glass again, or leave these frames out"
+    ]
+
+
+def described(frame: Picture, light: Picture, number: int) -> str:
+    """Return what a frame without a detected finger shows in place of one, as a sentence; "" if nothing is found."""
+    for known_cause in (of_background_lines(light), of_moved_glass(frame, light, np.zeros(light.shape, bool), number)):
+        if known_cause:
+            return known_cause[0]
+    share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
+    rows, columns = (side // _SIDE for side in share.shape)
+    cut = share[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)
+    known = np.isfinite(cut).all(axis=(1, 3))
+    blocks = np.where(known, np.nan_to_num(cut).mean((1, 3)), np.nan)
+    y, x = np.mgrid[:rows, :columns]
+    terms = np.stack([np.ones(known.sum()), x[known] / columns - 0.5, y[known] / rows - 0.5], 1)
+    values, keep = blocks[known], np.ones(known.sum(), dtype=bool)
+    if len(values) < 16:
+        return ""
+    for _ in range(4):  # dark objects leave the plane by far
+        plane = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
+        rest = values - terms @ plane
+        keep = np.abs(rest) < max(3 * float(np.std(rest[keep])), 0.01)
+    said = []
+    across = float(np.hypot(plane[1], plane[2]))
+    fall = across / (float(plane[0]) + across / 2)
+    if fall > _UNEVEN:
+        said.append(
+            f"the light falls by {fall:.0%} across the view against the background: the lamp was moved or warms up, so "
+            f"record the empty glass again"
+        )
+    elif abs(plane[0] - 1) > _UNEVEN:
+        said.append(f"the whole view has {plane[0]:.0%} of the background's light")
+    dark = float((rest < -_UNEVEN).mean())
+    if dark > 0.002:
+        said.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
+    return "; ".join(said)
+
+
+def _shift_of_glass(frame: Picture, light: Picture, region: Mask) -> tuple[tuple[int, int], float]:
+    """Return the shift (x, y), px, of the light in a frame, and the residual with it relative to that without it."""
+    smooth = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 1.0)
+    full = float(np.quantile(smooth, 0.99))
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
+    far = cv2.dilate(region.astype(np.uint8), _disc(2 * _REACH_PX)) == 0
+    inner = np.zeros_like(far)
+    inner[_REACH_PX:-_REACH_PX, _REACH_PX:-_REACH_PX] = True
+    near = cv2.dilate((slope > _EDGE * full).astype(np.uint8), _disc(3)).astype(bool)
+    y, x = np.nonzero(near & far & inner)
+    if len(y) < _EDGE_PX:
+        return (0, 0), 1.0
+    step = max(1, len(y) // 4000)
+    y, x = y[::step], x[::step]
+    seen = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)[y, x]
+    best, least, still = (0, 0), np.inf, np.inf
+    for down in range(-_REACH_PX, _REACH_PX + 1):
+        for right in range(-_REACH_PX, _REACH_PX + 1):
+            given = smooth[y - down, x - right]
+            gain = float(seen @ given) / max(float(given @ given), 1e-9)
+            residual = float(np.abs(seen - gain * given).mean())
+            if (right, down) == (0, 0):
+                still = residual
+            if residual < least:
+                best, least = (right, down), residual
+    return best, least / max(still, 1e-9)
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)

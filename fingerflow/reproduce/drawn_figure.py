@@ -1,0 +1,111 @@
+"""Figures and movies of the reproduction: what the papers show, and the file that shows the same."""
+
+import io
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain, repeat
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from fingerflow.plot.figure_files import settle
+from fingerflow.report.video_writer import encode_video
+from fingerflow.results.atomic_write import write_atomically
+
+Source = TypeVar("Source")
+Picture = NDArray[np.uint8]
+Drawn = tuple[Figure | None, str]
+
+_DPI, _COLOURS = 150, 256
+_STILLS = 3  # frames of a movie on the page
+_WIDE = 9.0  # inches of such a strip
+
+
+@dataclass(frozen=True)
+class DrawnFigure:
+    """A figure of the page: what is printed, its file ("" without one), what it shows or why it is missing, a movie."""
+
+    name: str
+    printed: str
+    file: str
+    shown: str
+    movie: str = ""
+
+
+@dataclass(frozen=True)
+class PrintedFigure(Generic[Source]):
+    """A printed figure: its name ("2b", "S11"), what it shows in print, and how it is drawn.
+
+    `draw` returns the figure and what it shows here, a line a panel; None in place of a figure where nothing is drawn.
+    """
+
+    name: str
+    printed: str
+    draw: Callable[[Source], Drawn]
+
+    def write(self, source: Source, folder: Path) -> DrawnFigure:
+        """Write the figure as PNG; raise FingerflowError if it cannot be written."""
+        figure, shown = self.draw(source)
+        if figure is None:
+            return DrawnFigure(self.name, self.printed, "", shown)
+        return DrawnFigure(self.name, self.printed, _save(figure, folder / f"{self.name}.png").name, shown)
+
+
+@dataclass(frozen=True)
+class PrintedMovie(Generic[Source]):
+    """A printed movie: its name, what it shows in print, how its frames are drawn and how often each is repeated.
+
+    `draw` returns the frames and what they show here.
+    """
+
+    name: str
+    printed: str
+    draw: Callable[[Source], tuple[Iterable[Picture], str]]
+    repeated: int
+
+    def write(self, source: Source, folder: Path) -> DrawnFigure:
+        """Write the movie as MP4 into the folder `movies` beside, and some of its frames as PNG.
+
+        Raises FingerflowError if one cannot be written.
+        """
+        frames, shown = self.draw(source)
+        pictures = list(frames)
+        movie = folder.parent / "movies" / f"{self.name}.mp4"
+        write_atomically(movie, lambda part: encode_video(self._held(pictures), part))
+        path = _save(_strip(pictures), folder / f"{self.name}.png")
+        return DrawnFigure(self.name, self.printed, path.name, shown, movie.name)
+
+    def _held(self, pictures: list[Picture]) -> Iterator[Picture]:
+        return chain.from_iterable(repeat(one, self.repeated) for one in pictures)
+
+
+def _strip(pictures: list[Picture]) -> Figure:
+    """Return some frames of a movie: side by side where they are high, else one above the other."""
+    chosen = [pictures[at] for at in np.linspace(0, len(pictures) - 1, _STILLS).round().astype(int)]
+    height, width = chosen[0].shape[:2]
+    beside = height > 0.8 * width
+    shape = (1, _STILLS) if beside else (_STILLS, 1)
+    ratio = height / width / _STILLS if beside else height / width * _STILLS
+    figure = Figure(figsize=(_WIDE, _WIDE * ratio), layout="constrained")
+    for axes, one in zip(np.ravel(figure.subplots(*shape)), chosen, strict=True):
+        axes.imshow(one, interpolation="antialiased")
+        axes.set_axis_off()
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG with 256 colours, a third of the size of the full one."""
+    settle(figure)
+    held = io.BytesIO()
+    figure.savefig(held, format="png", dpi=_DPI)
+    picture = (
+        Image.open(held)
+        .convert("RGB")
+        .quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    )
+    write_atomically(path, lambda part: picture.save(part, format="png", optimize=True))
+    return path

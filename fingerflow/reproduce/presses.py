@@ -1,0 +1,298 @@
+"""The simulated experiment of Willemet et al. 2021: a study of presses, recorded, measured and analysed."""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.signal import savgol_filter
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.skin_chain import press
+from fingerflow.report.simulated_presses import HIGH
+from fingerflow.report.supplement import Sources
+from fingerflow.report.tribometer import TribometerTrace
+from fingerflow.reproduce.tribometer_trace import write_trace
+from fingerflow.results.result import load_result
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.variables import VARIABLES
+from fingerflow.study.init import init_study
+from fingerflow.study.manifest import Manifest, TrialEntry, load_manifest
+from fingerflow.study.run_study import run_study
+from fingerflow.study.simulated import write_recordings
+from fingerflow.study.simulated_trials import Design
+from fingerflow.study.statistics import Sample, sample_of, statistics_of
+from fingerflow.study.table import write_tables
+from fingerflow.study.trial_files import MEASURED, read_row
+from fingerflow.synthetic import SyntheticScene, rebuild_scene
+
+Values = NDArray[np.float64]
+_TRUTHS = 8  # trials whose deformation is compared with the truth
+_SLOPE_S = 0.12  # over which rates of the chain are fitted
+_LEAST_N = 3.0  # of presses that figures show
+_PEAKS = 200  # trials whose rates are followed in time
+_BIN_N, _FEWEST_PRESSES = 0.5, 3  # forces of mean rates, and presses that one needs
+
+DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
+_FULL = Design(participants=16, trials=2)
+_QUICK = Design(participants=4, trials=1)
+_RESAMPLES = {False: 2000, True: 400}
+
+
+@dataclass(frozen=True)
+class TypicalPress:
+    """A press that figures show: its result and the scene of its frames."""
+
+    result: xr.Dataset
+    scene: Scene
+
+    @cached_property
+    def peak(self) -> int:
+        """Return the frame of the largest force."""
+        return int(np.nanargmax(self.result["normal_force"]))
+
+    @property
+    def largest_force(self) -> float:
+        """Return the largest force, N."""
+        return float(self.result["normal_force"][self.peak])
+
+    @property
+    def force_text(self) -> str:
+        """Return the largest force as text."""
+        return f"{self.largest_force:.1f} N"
+
+    def frame_at(self, force: float) -> int | None:
+        """Return the first frame in which a force (N) is reached; None if it never is."""
+        reached = np.flatnonzero(np.nan_to_num(self.result["normal_force"]) >= force)
+        return int(reached[0]) if reached.size else None
+
+
+@dataclass(frozen=True)
+class PressStudy:
+    """A measured study: manifest, table of trials, curves by condition, sample, statistics, and the simulated truth.
+
+    Attributes:
+        frame, curves: DataFrames, as in `trials.parquet` and `curves.csv`.
+        statistics: as in `statistics.json`.
+        design: of the simulation.
+        trace: simulated tribometer trace.
+        sources: of the figures that models give.
+    """
+
+    manifest: Manifest
+    frame: Any
+    curves: Any
+    sample: Sample
+    statistics: dict[str, Any]
+    design: Design
+    trace: TribometerTrace
+    sources: Sources
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Return the settings of the first trial, which all share but for their files."""
+        return self.manifest.scene_of(self.manifest.trials[0])
+
+    def result_of(self, entry: TrialEntry) -> xr.Dataset | None:
+        """Return the result of a trial; None if it was not measured."""
+        folder = self.manifest.results / entry.name
+        stored = read_row(folder)
+        return None if stored is None or stored.result is None else load_result(folder / stored.result)
+
+    def truth_of(self, entry: TrialEntry) -> SyntheticScene:
+        """Return the simulated scene of a trial."""
+        return rebuild_scene(self.manifest.scene_of(entry).recording.frames.parent)
+
+    @cached_property
+    def measured(self) -> Any:
+        """Return the rows of all measured presses."""
+        return self.frame[self.frame["status"] == MEASURED]
+
+    def values(self, metric: str) -> Values:
+        """Return a metric of all measured presses, in the unit of the table."""
+        return np.asarray(self.measured[metric].to_numpy(float))
+
+    def of_answered(self, column: str) -> Values:
+        """Return a column of the trials that statistics use, in their order."""
+        trials = self.sample.trials
+        own = self.frame.set_index(["participant", "trial", "condition"])
+        places = list(zip(trials.participant, trials.trial, trials.condition, strict=True))
+        return np.asarray(own.loc[places, column].to_numpy(float))
+
+    @cached_property
+    def rates(self) -> Any:
+        """Return a DataFrame of the rising force: metric, condition, press, participant, normal_force_N and rate.
+
+        Metrics are `strain_rate`, the mean of both directions, and `strain_energy_rate`; of 200 presses at most.
+        """
+        import pandas as pd
+
+        parts = []
+        for entry in self.some(_PEAKS):
+            result = self.result_of(entry)
+            if result is None:
+                continue
+            force = np.asarray(result["normal_force"], dtype=float)
+            strain = np.asarray(result["median_strain_rate"], dtype=float)[:, :2].mean(1)
+            energy = np.asarray(result["strain_energy_rate"], dtype=float)
+            rising = np.isfinite(force) & (np.arange(force.size) <= np.nanargmax(force))
+            for metric, rate in (("strain_rate", strain), ("strain_energy_rate", energy)):
+                known = rising & np.isfinite(rate)
+                columns = {"metric": metric, "condition": float(entry.condition), "press": entry.name}
+                columns["participant"] = entry.participant
+                parts.append(pd.DataFrame({"normal_force_N": force[known], "rate": rate[known], **columns}))
+        return pd.concat(parts, ignore_index=True)
+
+    @cached_property
+    def rate_curves(self) -> Any:
+        """Return the mean rates by condition at forces 0.5 N apart, as a table of curves.
+
+        Participants are the units of the intervals of 95 %, as in `curves`.
+        """
+        rates = self.rates
+        bins = (rates["normal_force_N"] / _BIN_N).round() * _BIN_N
+        own = rates.groupby(["metric", "condition", bins, "participant"]).agg(
+            rate=("rate", "mean"), trials=("press", "nunique")
+        )
+        of_bins = own.groupby(["metric", "condition", "normal_force_N"])
+        found = of_bins.agg(
+            mean=("rate", "mean"), spread=("rate", "std"), participants=("rate", "size"), trials=("trials", "sum")
+        )
+        found = found[found["trials"] >= _FEWEST_PRESSES].reset_index()
+        reach = stats.t.ppf(0.975, found["participants"] - 1) * found["spread"] / np.sqrt(found["participants"])
+        return found.assign(low=found["mean"] - reach, high=found["mean"] + reach)
+
+    @cached_property
+    def forces_of_peaks(self) -> dict[str, dict[float, float]]:
+        """Return for each metric of `rates` the median normal force (N) at the largest rate, by amplitude."""
+        own = self.rates
+        peaks = own.loc[own.groupby(["metric", "press"])["rate"].idxmax()]
+        median = peaks.groupby(["metric", "condition"])["normal_force_N"].median()
+        return {metric: median[metric].to_dict() for metric in ("strain_rate", "strain_energy_rate")}
+
+    @cached_property
+    def chain_area_at_3n(self) -> dict[str, float]:
+        """Return the contact area (mm²) of the skin chain at 3 N, by the name of its parameters."""
+        load = torch.tensor(3.0, dtype=torch.float64)
+        return {
+            name: math.pi * (500 * float(press(HIGH, name, load).contact_length)) ** 2 for name in ("paper", "fitted")
+        }
+
+    @cached_property
+    def errors(self) -> tuple[Values, Values]:
+        """Return errors (T, 2) of the median displacement (mm) and (T,) of the median divergence at the largest force,
+        of 8 trials at most.
+        """
+        moved, spread = [], []
+        for entry in self.some(_TRUTHS):
+            result = self.result_of(entry)
+            if result is None:
+                continue
+            frame = int(np.nanargmax(result["normal_force"]))
+            truth = self.truth_of(entry).truth.medians(frame)
+            displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
+            moved.append(np.nanmedian(displacement, axis=0) - np.array((truth.displacement_x, truth.displacement_y)))
+            spread.append(float(result["median_divergence"][frame]) - truth.divergence)
+        both = np.array(moved), np.array(spread)
+        known = np.isfinite(both[0]).all(1) & np.isfinite(both[1])
+        return both[0][known], both[1][known]
+
+    @cached_property
+    def chain_strain(self) -> dict[float, tuple[Values, Values]]:
+        """Return the skin chain's median radial strain (%) since the undeformed finger, at 1, 2 and 3 N, and the forces
+        (N) at the largest rates of that strain and of its energy, (2,), by friction.
+        """
+        presses = self.sources.presses
+        strain = 100 * np.median(presses.profile().radial, axis=-1)
+        step = float(presses.time[1] - presses.time[0])
+        width = 2 * round(_SLOPE_S / step / 2) + 1
+        found = {}
+        for place, friction in enumerate(presses.friction):
+            at = np.interp((1.0, 2.0, 3.0), presses.force, strain[:, place])
+            peaks = []
+            for series in (strain[:, place], presses.energy()[:, place]):
+                rate = savgol_filter(np.nan_to_num(series), width, polyorder=1, deriv=1, delta=step)
+                inner = slice(width, len(rate) - width)
+                peaks.append(float(presses.force[inner][np.argmax(rate[inner])]))
+            found[friction] = at, np.array(peaks)
+        return found
+
+    @cached_property
+    def typical(self) -> "tuple[TypicalPress, TypicalPress]":
+        """Return two presses of one participant with similar forces of 3 N or more, at high and at low friction.
+
+        Without vibration friction is high, at the largest amplitude low.
+
+        Raises FingerflowError if no participant has both.
+        """
+        frame = self.measured[self.measured["max_force"] >= _LEAST_N]
+        least, most = min(self.design.amplitudes), max(self.design.amplitudes)
+        best: tuple[float, Any, Any] | None = None
+        for _, own in frame.groupby("participant"):
+            still, vibrating = own[own["condition"] == least], own[own["condition"] == most]
+            for _, one in still.iterrows():
+                for _, other in vibrating.iterrows():
+                    apart = abs(one["max_force"] - other["max_force"])
+                    if best is None or apart < best[0]:
+                        best = apart, one, other
+        if best is None:
+            raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
+        return self._typical(best[1]), self._typical(best[2])
+
+    def _typical(self, row: Any) -> "TypicalPress":
+        entry = next(
+            one
+            for one in self.manifest.trials
+            if (one.participant, one.trial) == (row["participant"], row["trial"])
+            and float(one.condition) == row["condition"]
+        )
+        result = self.result_of(entry)
+        assert result is not None
+        return TypicalPress(result, self.manifest.scene_of(entry))
+
+    def some(self, most: int) -> Iterator[TrialEntry]:
+        """Yield evenly spaced trials, `most` at most."""
+        step = max(1, len(self.manifest.trials) // most)
+        yield from self.manifest.trials[::step][:most]
+
+
+def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True) -> PressStudy:
+    """Write the recordings that are missing, run the study on all that are not measured, and compute its statistics.
+
+    Raises FingerflowError if the folder holds a study of another design, or a file cannot be written.
+    """
+    import pandas as pd
+
+    recordings, design = folder / "recordings", _QUICK if quick else _FULL
+    known = recordings / "truth.json"
+    if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(design))):
+        raise FingerflowError(f"{known} is of another design: name another folder, or remove {folder}")
+    if not (recordings / "study.toml").exists():  # written once all recordings are
+        write_recordings(recordings, design)
+        init_study(recordings, recordings / "answers.csv")
+    manifest = load_manifest(recordings)
+    run_study(manifest, progress=progress)
+    tables = write_tables(manifest)
+    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    for column in [name for name in frame if name.startswith("true_")]:
+        frame[column] = frame[column].astype(float)
+    sample = sample_of(frame)
+    trace = write_trace(folder / "tribometer.csv", design.friction_at, max(design.amplitudes))
+    return PressStudy(
+        manifest=manifest,
+        frame=frame,
+        curves=curves,
+        sample=sample,
+        statistics=statistics_of(sample, _RESAMPLES[quick]),
+        design=design,
+        trace=trace,
+        sources=Sources(tribometer=trace, trials=sample.trials),
+    )

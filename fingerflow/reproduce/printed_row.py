@@ -1,0 +1,126 @@
+"""Rows of the reproduction: a printed result, what is obtained for it, and whether the two agree."""
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, TypeVar
+
+Interval = tuple[float, float]
+Source = TypeVar("Source")
+
+AGREES, DIFFERS, NOT_HAD, NOT_PRINTED = "agrees", "differs", "not to be had", "not printed"
+UNEXPLAINED = "not explained"
+_TWO_SIDED = 1.96  # standard deviations of an interval of 95 %
+
+
+@dataclass(frozen=True)
+class Obtained:
+    """Result obtained for a printed one.
+
+    Attributes:
+        text: values with units and deviations; empty where nothing can be obtained.
+        numbers: an interval for each printed number, in its unit.
+        truth: of the simulation, as text; empty where the result is no measurement.
+        because: why the two differ, or why nothing can be obtained.
+        agrees: whether they agree, where numbers do not decide it.
+    """
+
+    text: str
+    numbers: tuple[Interval, ...] = ()
+    truth: str = ""
+    because: str = ""
+    agrees: bool | None = None
+
+
+@dataclass(frozen=True)
+class Row(Generic[Source]):
+    """A printed result, and the function that obtains it from a source.
+
+    Attributes:
+        id: of the list of printed results.
+        quantity: what was printed.
+        printed: its value as text; empty where none is printed.
+        where: section or figure.
+        numbers: intervals of the printed numbers: deviations where they are printed, otherwise the rounding.
+        obtain: computes the result.
+    """
+
+    id: str
+    quantity: str
+    printed: str
+    where: str
+    numbers: tuple[Interval, ...]
+    obtain: Callable[[Source], Obtained]
+
+    def answer(self, source: Source) -> "Answer":
+        """Obtain the result and compare it: the two agree where the intervals of each number overlap.
+
+        Raises ValueError if the numbers of printed and obtained results do not correspond.
+        """
+        found = self.obtain(source)
+        if not found.text:
+            verdict = NOT_HAD
+        elif not self.printed:
+            verdict = NOT_PRINTED
+        else:
+            agrees = found.agrees
+            if agrees is None:
+                if len(found.numbers) != len(self.numbers) or not self.numbers:
+                    raise ValueError(f"{self.id}: {len(self.numbers)} printed numbers, {len(found.numbers)} obtained")
+                pairs = zip(self.numbers, found.numbers, strict=True)
+                agrees = all(low <= top and bottom <= high for (low, high), (bottom, top) in pairs)
+            verdict = AGREES if agrees else DIFFERS
+        because = found.because or UNEXPLAINED if verdict in (DIFFERS, NOT_HAD) else ""
+        printed = self.printed or "not printed"
+        return Answer(self.id, self.quantity, printed, self.where, found.text, found.truth, verdict, because)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A line of the page: printed and obtained result, truth of the simulation, verdict, and its reason."""
+
+    id: str
+    quantity: str
+    printed: str
+    where: str
+    obtained: str
+    truth: str
+    verdict: str
+    because: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the line as plain values."""
+        return asdict(self)
+
+
+def exactly(*values: float) -> tuple[Interval, ...]:
+    """Return intervals without width."""
+    return tuple((value, value) for value in values)
+
+
+def rounded(*values: float, digit: float) -> tuple[Interval, ...]:
+    """Return the intervals within which printed numbers were rounded to a multiple of `digit`."""
+    return tuple((value - digit / 2, value + digit / 2) for value in values)
+
+
+def within(value: float, deviation: float) -> tuple[Interval, ...]:
+    """Return the interval of a value and its printed deviation."""
+    return ((value - deviation, value + deviation),)
+
+
+def likely(value: float, deviation: float) -> Interval:
+    """Return the interval of 95 % of a value with a standard deviation."""
+    return value - _TWO_SIDED * deviation, value + _TWO_SIDED * deviation
+
+
+def number(value: float, deviation: float | None = None) -> str:
+    """Return a number as text, to three digits or to the second digit of its deviation, with "±" and the deviation."""
+    if deviation is None or not math.isfinite(deviation) or deviation <= 0:
+        return f"{value:.3g}"
+    decimals = max(0, 1 - math.floor(math.log10(deviation)))
+    return f"{value:.{decimals}f} ± {deviation:.{decimals}f}"
+
+
+def unobtainable(because: str) -> Callable[[Any], Obtained]:
+    """Return the function of a row for which nothing can be obtained, and why."""
+    return lambda _: Obtained("", because=because)

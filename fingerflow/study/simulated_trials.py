@@ -1,0 +1,275 @@
+"""Trials of a simulated study: friction, force, drag and real contact of every press, and what an observer answers.
+
+A trial is a two-interval forced choice of Willemet et al. 2021: a reference press without vibration, and a comparison
+press at one of seven amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
+values of that paper's supplement.
+"""
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.models.skin_chain import weighted_median
+from fingerflow.synthetic import Camera, ChainPress
+
+Values = NDArray[np.float64]
+Felt = Literal["divergence", "real_contact_area"]
+
+_ELEMENTS = 501
+_PATHS_N = (5.0, 18.0)  # forces up to which chains are simulated: a press takes the first that reaches its own
+_SHARES = 0.17, 0.8  # smallest and largest share of touching ridges: a thinner one has two pixels
+_RINGS = 64  # of the contact, in each of which divergence since onset is evaluated
+_FORCES_N = np.geomspace(1.0, 18.0, 21)  # of the tables of divergence and area
+
+
+@dataclass(frozen=True)
+class Design:
+    """Design of a simulated study, and the distributions from which its presses are drawn.
+
+    Attributes:
+        participants: the second half of them has softer skin.
+        trials: pairs of presses of each participant in each condition.
+        amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
+        friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
+            angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
+            logarithm falls with the square root of the amplitude.
+        softness: of firmer and softer skin, divisors of the chain's printed stiffnesses. The mean apparent area at the
+            peak is 70.1 mm² (B5); the ratio is that at which two groups are found and the softer one is better at small
+            amplitudes (B66), which takes twice the printed spread of areas.
+        force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
+            over the mean time is 3.7). Gamma distributed, as a normal one would be negative in every ninth trial.
+        force_range: N, outside of which a trial is drawn again (B34).
+        time_to_peak: mean and standard deviation, s (B35), normal.
+        duration: shortest and longest time from first contact to the last frame, s (B36).
+        hold: shortest and longest time for which the peak is held, s (not printed).
+        angle: mean angle of the force in degrees without vibration and at the largest amplitude (B43, B44); linear
+            between them. Gamma distributed, standard deviation half of the mean as printed.
+        displacement: mean and standard deviation of the global displacement, mm (B40), lognormal up to 0.5 mm, drawn
+            apart from the angle.
+        real_area: mean over presses of the real contact area at the peak, mm² (B6), and its standard deviation over
+            participants of one apparent area: with the spread of that area 4.5 mm², as printed.
+        real_area_fall: share by which vibration at the largest amplitude reduces it (B8), linear in the amplitude.
+        real_area_noise: relative standard deviation from press to press (not printed: with it Spearman's rho of slope
+            and amplitude is -0.28, B7).
+        feels: what the observer compares between the two presses, at the peak of the force.
+        noise: standard deviation of that difference as perceived: of divergences, and of areas in mm² (not printed).
+        frame_rate: frames per second; the lab has 300 (B12).
+        mm_per_px: of the contact view (B12): skin that is spread by low friction is lost in coarser pictures.
+        view_px: side of either view, both are square.
+        seed: of all random numbers.
+    """
+
+    participants: int = 16
+    trials: int = 14
+    amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+    friction: tuple[float, float] = (0.5, 0.16)
+    softness: tuple[float, float] = (2.8, 4.3)
+    force_rate: tuple[float, float] = (3.6, 3.0)
+    force_range: tuple[float, float] = (1.0, 18.0)
+    time_to_peak: tuple[float, float] = (1.47, 0.39)
+    duration: tuple[float, float] = (1.0, 2.5)
+    hold: tuple[float, float] = (0.15, 0.5)
+    angle: tuple[float, float] = (9.9, 4.2)
+    displacement: tuple[float, float] = (0.08, 0.10)
+    real_area: tuple[float, float] = (23.7, 2.8)
+    real_area_fall: float = 0.38
+    real_area_noise: float = 0.4
+    feels: Felt = "divergence"
+    noise: tuple[float, float] = (0.003, 3.0)
+    frame_rate: float = 20.0
+    mm_per_px: float = 0.0325
+    view_px: int = 512
+    seed: int = 0
+
+    def friction_at(self, amplitude: Values) -> Values:
+        """Return the friction coefficient at vibration amplitudes in µm."""
+        low, high = self.friction
+        return np.asarray(low * (high / low) ** np.sqrt(self._share(amplitude)))
+
+    def is_soft(self) -> NDArray[np.bool_]:
+        """Return a mask (P,) of the participants with softer skin."""
+        return np.arange(self.participants) >= self.participants // 2
+
+    def angle_at(self, amplitude: Values) -> Values:
+        """Return the mean angle of the force in degrees at vibration amplitudes in µm."""
+        high, low = self.angle
+        return np.asarray(high + (low - high) * self._share(amplitude))
+
+    def _share(self, amplitude: Values) -> Values:
+        return np.asarray(np.asarray(amplitude) / max(max(self.amplitudes), 1e-9))
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Presses of a simulated study, (N,) each, a reference before each comparison."""
+
+    participant: NDArray[np.int64]
+    amplitude: Values  # µm
+    soft: NDArray[np.bool_]
+    friction: Values
+    force: Values  # N, at the peak
+    time_to_peak: Values  # s
+    duration: Values  # s
+    angle: Values  # rad, of the force from the normal
+    shift: Values  # (N, 2) mm, of the skin as a whole
+    divergence: Values  # median over the apparent contact since each point's onset, at the peak
+    gross_contact_area: Values  # mm², at the peak
+    real_contact_area: Values  # mm², at the peak
+    seed: NDArray[np.int64]  # of the camera
+
+    def pairs(self) -> "tuple[Presses, Presses]":
+        """Return the references and the comparisons, in the same order."""
+        reference, comparison = (
+            Presses(*(getattr(self, field.name)[first::2] for field in fields(self))) for first in (0, 1)
+        )
+        return reference, comparison
+
+
+def draw_presses(design: Design) -> Presses:
+    """Draw all presses of a study: two for each trial, trials by participant and condition."""
+    draw = np.random.default_rng(design.seed)
+    amplitudes = np.repeat(design.amplitudes, design.trials)
+    per_person = np.stack((np.zeros_like(amplitudes), amplitudes), -1).ravel()
+    amplitude = np.tile(per_person, design.participants)
+    participant = np.repeat(np.arange(design.participants), per_person.size)
+    count = amplitude.size
+    soft = design.is_soft()[participant]
+    force, time = _draw_kinematics(design, draw, count)
+    hold = draw.uniform(*design.hold, count)
+    friction = design.friction_at(amplitude)
+    angle = np.radians(design.angle_at(amplitude)) * draw.gamma(4.0, 0.25, count)
+    length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
+    direction = draw.uniform(0, 2 * math.pi, count)
+    divergence, area = _at_peak(design, soft, amplitude, force)
+    return Presses(
+        participant=participant,
+        amplitude=amplitude,
+        soft=soft,
+        friction=friction,
+        force=force,
+        time_to_peak=time,
+        duration=np.clip(time + hold, *design.duration),
+        angle=np.minimum(angle, np.arctan(friction)),  # beyond, the finger would slide
+        shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
+        divergence=divergence,
+        gross_contact_area=area,
+        real_contact_area=area * _real_share(design, draw, participant, amplitude),
+        seed=draw.integers(1 << 30, size=count),
+    )
+
+
+def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArray[np.bool_]:
+    """Return the answers (T,) of the simulated observer: True where the comparison is felt as more slippery.
+
+    More divergence, or less real contact, is felt as more slippery.
+    """
+    by_area = design.feels == "real_contact_area"
+    difference = getattr(comparison, design.feels) - getattr(reference, design.feels)
+    draw = np.random.default_rng((design.seed, 1))
+    felt = (-difference if by_area else difference) + design.noise[by_area] * draw.standard_normal(difference.size)
+    return np.asarray(felt > 0)
+
+
+def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
+    """Return the synthetic recording of a press."""
+    time, duration = float(presses.time_to_peak[number]), float(presses.duration[number])
+    frames_before = 2
+    contact_time = 0.02
+    return replace(
+        _press(design, float(presses.friction[number]), bool(presses.soft[number]), float(presses.force[number])),
+        n_frames=frames_before + 1 + math.ceil((contact_time + duration) * design.frame_rate),
+        frame_rate=design.frame_rate,
+        frames_before_trigger=frames_before,
+        contact_time=contact_time,
+        rise_time=time,
+        relaxation=0.05,
+        drag=math.tan(presses.angle[number]),
+        shift=(float(presses.shift[number, 0]), float(presses.shift[number, 1])),
+        contact_fraction=float(presses.real_contact_area[number] / presses.gross_contact_area[number]),
+        camera=Camera(seed=int(presses.seed[number])),
+    )
+
+
+def median_divergence(press: ChainPress) -> float:
+    """Return the median divergence over the apparent contact since each point's onset, at the end of the rise.
+
+    It is the truth of the pictures, evaluated along one radius: skin and contact are those of a body of revolution.
+    """
+    at_peak = replace(press, n_frames=1, frames_before_trigger=0, contact_time=-press.rise_time)
+    ellipse = at_peak.truth.ellipse(0)
+    assert ellipse is not None
+    radius = ellipse.semi_axes[0] * (np.arange(_RINGS) + 0.5) / _RINGS
+    material = at_peak.truth.material(np.stack((radius, 0 * radius), -1) + ellipse.centre, 0)
+    field = np.trace(at_peak.truth.gradient(material, 0), axis1=-2, axis2=-1)
+    known = np.isfinite(field)
+    return float(weighted_median(torch.from_numpy(field[known]), torch.from_numpy(radius[known])))
+
+
+def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> tuple[Values, Values]:
+    """Draw peak forces (N) and times to the peak (s)."""
+    mean, deviation = design.force_rate
+    shape = (mean / deviation) ** 2
+    force, time = np.empty(count), np.empty(count)
+    left = np.arange(count)
+    while left.size:
+        time[left] = draw.normal(*design.time_to_peak, left.size)
+        force[left] = time[left] * draw.gamma(shape, mean / shape, left.size)
+        low, high = design.force_range
+        longest = design.duration[1] - design.hold[0]
+        left = left[(force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)]
+    return force, time
+
+
+def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: int) -> Values:
+    square = math.log(1 + (deviation / mean) ** 2)
+    return np.asarray(draw.lognormal(math.log(mean) - square / 2, math.sqrt(square), count))
+
+
+def _real_share(design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values) -> Values:
+    """Draw the share of the apparent contact that touches: by vibration, by participant, and from press to press."""
+    mean, deviation = design.real_area
+    fall = 1 - design.real_area_fall * design._share(amplitude)
+    own = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
+    share = mean / 70.1 / fall.mean() * fall * own * _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
+    return np.asarray(np.clip(share, *_SHARES))
+
+
+def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPress:
+    side = design.view_px
+    return ChainPress(
+        friction=friction,
+        softness=design.softness[int(soft)],
+        force=force,
+        steady=True,
+        path_force=next(path for path in _PATHS_N if path >= force),
+        elements=_ELEMENTS,
+        frame_shape=(side, 2 * side),
+        mm_per_px=design.mm_per_px,
+        finger=(0.49 * side * design.mm_per_px,) * 2,
+    )
+
+
+def _at_peak(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
+    """Return divergence and apparent contact area (mm²) at the peak force of presses, from tables over the force."""
+    divergence, area = np.empty(force.size), np.empty(force.size)
+    for friction in np.unique(design.friction_at(amplitude)):
+        for softer in (False, True):
+            own = (design.friction_at(amplitude) == friction) & (soft == softer)
+            table = _table(design.softness[int(softer)], float(friction))
+            for values, column in ((divergence, 0), (area, 1)):
+                values[own] = np.interp(force[own], _FORCES_N, table[:, column])
+    return divergence, area
+
+
+@lru_cache(maxsize=256)
+def _table(softness: float, friction: float) -> Values:
+    """Return divergence and apparent contact area (mm²) at the forces of tables, (K, 2)."""
+    design = Design(softness=(softness, softness))
+    presses = [_press(design, friction, False, min(float(force), _PATHS_N[-1])) for force in _FORCES_N]
+    areas = [press.motion.ellipse(1.0) for press in presses]
+    return np.array([(median_divergence(press), area.area) for press, area in zip(presses, areas, strict=True) if area])

@@ -1,0 +1,52 @@
+"""Detection of frames that repeat an earlier frame: equal to the last digit, which no camera's noise gives twice."""
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+REPEATED_SHARE = 0.2  # of the frames, beyond which repetitions are normal for the camera and no fault
+_ALIKE = 1.25  # quotient of squared distances below which two copies fit their neighbours equally well
+
+
+def key_of(blocks: Sequence[NDArray[Any]]) -> bytes:
+    """Return the key of a frame: the digest of the block means of all of its views, equal for equal frames."""
+    return hashlib.blake2b(b"".join(one.tobytes() for one in blocks), digest_size=16).digest()
+
+
+def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (F,) of the frames that are copies of others.
+
+    Of frames that repeat the one before, the first counts. Frames that equal others further away belong to one of both
+    places: those that are further from the frames around them are the copies, and both where neither fits better.
+
+    Args:
+        keys: of all frames (`key_of`).
+        distances: (F, LONGEST + 1, rows) of `squared_distances_before`.
+        usable: (F,) False for frames that are not compared.
+    """
+    frames = len(keys)
+    first: dict[bytes, int] = {}
+    original = np.array([first.setdefault(keys[k], k) if usable[k] else k for k in range(frames)], np.intp)
+    found = np.zeros(frames, dtype=bool)
+    found[1:] = usable[1:] & (original[1:] == original[:-1])
+    apart = iter(np.flatnonzero((original < np.arange(frames)) & ~found).tolist())
+    end = 0
+    for frame in apart:
+        if frame < end:
+            continue
+        end = frame + 1
+        while end < frames and not found[end] and original[end] == original[frame] + end - frame < frame:
+            end += 1
+        here, there = slice(frame, end), slice(int(original[frame]), int(original[frame]) + end - frame)
+        off, other = _distance_around(distances, here), _distance_around(distances, there)
+        found[here] |= off * _ALIKE >= other
+        found[there] |= other * _ALIKE >= off
+    return found
+
+
+def _distance_around(distances: NDArray[np.float32], frames: slice) -> float:
+    """Return the largest squared distance of some frames from the frame before them and from the one behind them."""
+    return float(np.nanmax(distances[[k for k in (frames.start, frames.stop) if 0 < k < len(distances)], 0], initial=1))

@@ -1,0 +1,222 @@
+"""What lies in the contact view beside the finger: faults of a small press that make areas wrong.
+
+The number is the largest gross and real area, mm2, beside the truth of the whole contact. Presses and slides without a
+fault must give no warning; `gross area` is the mean error of all frames from 10 mm2 on, and the largest.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bench.suites.prints import DPI, FINGERS
+from fingerflow import process
+from fingerflow.errors import FingerflowError
+from fingerflow.synthetic import FingerprintTexture, Press, Slide, scene_of_print, write_recording
+from fingerflow.synthetic.scenes import SyntheticScene
+from tests.silent.case import Case
+from tests.silent.settings import KNOWN
+from tests.small_trials import scene_beside, warnings_of
+
+Pictures = NDArray[np.float64]
+Change = Callable[[Pictures, Press], Pictures]
+
+PRESS = Press(
+    n_frames=40,
+    frame_rate=40.0,
+    frames_before_trigger=3,
+    frame_shape=(384, 960),
+    semi_axes=(2.6, 2.2),
+    finger=(4.0, 3.4),
+)
+AREAS = ["gross_contact_area", "real_contact_area", "gross_contact_area_std"]
+_RIGHT = 0.01, 0.015  # relative errors of gross and real area, beyond those without a fault, that need no warning
+
+
+class Fault(NamedTuple):
+    """A fault: what it does to the share of the light in the contact views of frames (n, h, w) and of the background,
+    and words of the warning.
+    """
+
+    case: str
+    cause: str
+    frames: Change
+    background: Change | None = None
+
+
+def _columns(pictures: Pictures) -> NDArray[np.float64]:
+    return np.arange(pictures.shape[2], dtype=np.float64)
+
+
+def _dark_third(pictures: Pictures, press: Press) -> Pictures:
+    """Return pictures whose right part, which a part of the contact reaches, is without light."""
+    return pictures * np.where(_columns(pictures) > 0.58 * pictures.shape[2], 0.01, 1.0)
+
+
+def _strip(width: int, angle: float, place: float = 0.45, kept: float = 0.3) -> Change:
+    """Return a dark strip, `width` px wide, through `place` of the view's width, turned by `angle` rad."""
+
+    def change(pictures: Pictures, press: Press) -> Pictures:
+        y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]]
+        away = (x - place * pictures.shape[2]) * np.cos(angle) + (y - 0.5 * pictures.shape[1]) * np.sin(angle)
+        return pictures * np.where(np.abs(away) < width / 2, kept, 1.0)
+
+    return change
+
+
+def _halo(depth: float) -> Change:
+    """Return the shadow of a finger, `depth` of the light, whose edge lies a millimetre outside the contact."""
+
+    def change(pictures: Pictures, press: Press) -> Pictures:
+        y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]] * press.mm_per_px
+        shadow = []
+        for frame in range(len(pictures)):
+            ellipse = press.truth.ellipse(frame)
+            if ellipse is None:
+                shadow.append(np.ones(pictures.shape[1:]))
+                continue
+            (right, down), (a, b) = ellipse.centre, ellipse.semi_axes
+            outside = (np.hypot((x - right) / a, (y - down) / b) - 1) * np.sqrt(a * b)
+            shadow.append(1 - depth * np.exp(-np.maximum(outside, 0) / 0.3))
+        return pictures * np.stack(shadow)
+
+    return change
+
+
+def _sweat(pictures: Pictures, press: Press) -> Pictures:
+    """Return pictures in which sweat fills the valleys in patches of 0.6 mm across, once skin touches there."""
+    generator = np.random.default_rng(1)
+    result, (right, down) = pictures.copy(), press.contact_centre
+    y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]] * press.mm_per_px
+    for radius, angle in zip(generator.uniform(0, 1.7, 12), generator.uniform(0, 2 * np.pi, 12), strict=True):
+        patch = np.hypot(x - right - radius * np.cos(angle), y - down - radius * np.sin(angle)) < 0.3
+        for frame in range(len(pictures)):
+            inside = patch & press.truth.gross_mask(frame)
+            result[frame][inside] = np.minimum(result[frame][inside], 0.52)
+    return result
+
+
+def _moved(pictures: Pictures, press: Press) -> Pictures:
+    return pictures
+
+
+def _gradient(pictures: Pictures, press: Press) -> Pictures:
+    return pictures * (1 - 0.15 * _columns(pictures) / pictures.shape[2])
+
+
+def _zero_rows(pictures: Pictures, press: Press) -> Pictures:
+    result = pictures.copy()
+    result[:, 170:200] = 0
+    return result
+
+
+def _same(pictures: Pictures, press: Press) -> Pictures:
+    return pictures
+
+
+FAULTS = (
+    Fault("right part of the glass dark", "without light", _dark_third, _dark_third),
+    Fault("cable of 10 px across, since the first frame", "lies in the view", _strip(10, 0.3)),
+    Fault("cable of 24 px across, since the first frame", "lies in the view", _strip(24, 0.3)),
+    Fault("cable of 24 px beside the contact", "lies in the view", _strip(24, 0.3, 0.15)),
+    Fault("halo of 35 %", "shadow", _halo(0.35)),
+    Fault("sweat in patches of 0.6 mm", "sweat", _sweat),
+    Fault("30 rows of the background are zero", "lines of the background", _same, _zero_rows),
+    Fault("camera bumped by 5 px", "has moved", _moved),
+    Fault("light falls by 15 % across the view", "falls", _gradient),
+)
+BUMP_PX = 5
+PATTERNS = ("loop", "whorl", "arch")
+# Percent, of gross areas from 10 mm² on. In 2 % of the frames a valley along the border costs more than 2 %.
+MOST_BIAS, MOST_ERROR = 0.5, 3.0
+
+
+def cases() -> Iterator[Case]:
+    """Yield the faults, contacts of real prints by size, and recordings without a fault, which give no new warning."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "press"
+        write_recording(recording, PRESS)
+        right = process(recording / "scene.toml", AREAS)
+        for fault in FAULTS:
+            yield try_fault(fault, recording, right)
+        yield _without_fault("small press", right)
+    yield from _without_faults()
+
+
+def _without_faults() -> Iterator[Case]:
+    trials: list[tuple[str, SyntheticScene]] = [("press", Press()), ("slide", Slide())]
+    trials += [(pattern, Press(texture=FingerprintTexture(pattern=pattern))) for pattern in PATTERNS]
+    if FINGERS.is_dir():
+        trials += [(f"print {one.stem}", scene_of_print(Press, one, DPI)) for one in sorted(FINGERS.glob("*.tif"))]
+    for name, trial in trials:
+        few = (
+            replace(trial, n_frames=60, frame_rate=60.0, frames_before_trigger=3) if isinstance(trial, Press) else trial
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            write_recording(Path(folder) / "trial", few)
+            result = process(Path(folder) / "trial" / "scene.toml", AREAS)
+        yield _without_fault(name, result)
+        if isinstance(few, Press):
+            yield _areas(name, few, result)
+
+
+def _without_fault(name: str, result: xr.Dataset) -> Case:
+    """Judge the warnings of a result that has nothing wrong."""
+    said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
+    return Case(
+        f"no fault: {name}", f"{len(said)} warnings", "0", (said or ["nothing"])[0], "false alarm" if said else "right"
+    )
+
+
+def _areas(name: str, press: Press, result: xr.Dataset) -> Case:
+    """Judge the gross areas of a press of which 10 mm² and more touch."""
+    truth = np.array([press.truth.gross_contact_area_mm2(frame) for frame in range(press.n_frames)])
+    errors = 100 * (result["gross_contact_area"].values / np.maximum(truth, 1e-9) - 1)[truth > 10]
+    worst = errors[np.argmax(np.abs(errors))]
+    right = abs(errors.mean()) < MOST_BIAS and abs(worst) < MOST_ERROR
+    off = (result["gross_contact_area"].values - truth) / result["gross_contact_area_std"].values
+    small, large = (off[(truth > low) & (truth < high)] for low, high in ((0, 10), (10, np.inf)))
+    z = [float(np.sqrt(np.nanmean(np.square(one)))) for one in (small, large)]
+    stated = f"z {z[1]:.1f}, below 10 mm2 {z[0]:.1f}"
+    number = f"{errors.mean():+.2f} %, worst {worst:+.1f} %"
+    return Case(f"gross area: {name}", number, "0", stated, "right" if right else "off")
+
+
+def try_fault(fault: Fault, recording: Path, right: xr.Dataset) -> Case:
+    """Make a fault in a recorded press and judge what its result states; `right` is the result without it."""
+    view = PRESS.views["contact"]
+    frames, empty, dark = (
+        np.load(recording / f"{name}.npy").astype(np.float64) for name in ("frames", "empty", "dark")
+    )
+    glass, black = (view.crop(one[None]) for one in (empty, dark))
+    light = glass - black
+    share = np.where(light > 2, (view.crop(frames) - black) / np.maximum(light, 2), 1.0)
+    kept = fault.frames(share, PRESS)
+    moved = np.roll(light, (BUMP_PX, 0), (2, 1)) if fault.frames is _moved else light
+    view.crop(frames)[:] = np.clip(kept * moved + black, 0, 255).round()
+    if fault.background is not None:
+        view.crop(empty[None])[:] = fault.background(light, PRESS) + black * (fault.background is not _zero_rows)
+    with tempfile.TemporaryDirectory() as folder:
+        arrays = {"frames": frames.astype(np.uint8), "empty": empty.astype(np.float32)}
+        scene = scene_beside(recording, Path(folder), **arrays)
+        truth = f"{PRESS.truth.gross_contact_area_mm2(39):.2f}, {PRESS.truth.real_contact_area_mm2(39):.2f}"
+        try:
+            result = process(scene, AREAS)
+        except FingerflowError as error:
+            said = str(error).replace(f"{folder}/", "")
+            return Case(
+                fault.case, "none", truth, said, "refused" if fault.cause in said else "refused without the cause"
+            )
+        said = [one for one in warnings_of(result).replace(f"{folder}/", "").splitlines() if fault.cause in one]
+        errors = [
+            np.nanmax(np.abs(result[name].values - right[name].values)) / right[name].values.max() for name in AREAS[:2]
+        ]
+        correct = all(error < most for error, most in zip(errors, _RIGHT, strict=True))
+        verdict = "warned" if said else "right" if correct else "wrong in silence"
+        found = f"{np.nanmax(result['gross_contact_area']):.2f}, {np.nanmax(result['real_contact_area']):.2f}"
+        return Case(fault.case, found, truth, (said or ["nothing"])[0], verdict)
