@@ -17,8 +17,9 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target. All
-    pixels are those of a view, (x, y), integers at pixel centres.
+    """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target.
+
+    Positions are (x, y) in px of a view; integers are pixel centres.
 
     `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
     `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
@@ -42,7 +43,7 @@ class Calibration:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
-            f"mm_per_px = {_written(self.mm_per_px)}",
+            f"mm_per_px = {_toml_number(self.mm_per_px)}",
             f"warnings = {toml_value(self.warnings)}",
         ]
         for name, view in self.views.items():
@@ -61,7 +62,7 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Return the calibration stored in a calibration file, which holds the text of `to_toml`.
+        """Read a calibration from a calibration file, which has the format that `to_toml` returns.
 
         Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
         """
@@ -91,13 +92,13 @@ def is_calibration(path: Path) -> bool:
 
 
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
-    return ["", title, *(f"{name} = {_written(value)}" for name, value in values.items())]
+    return ["", title, *(f"{name} = {_toml_number(value)}" for name, value in values.items())]
 
 
-def _written(value: Any) -> str:
+def _toml_number(value: Any) -> str:
     """Format a number (Python or NumPy), or a list of numbers, as TOML at full precision."""
     if isinstance(value, (tuple, list)):
-        return f"[{', '.join(map(_written, value))}]"
+        return f"[{', '.join(map(_toml_number, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
 
 

@@ -25,7 +25,7 @@ LEAST_SIGNIFICANCE = 10.0
 
 
 def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count: int = 3) -> list[Disc]:
-    """Return at most `count` dark discs in a view (H, W), the most significant first.
+    """Return at most `count` dark discs in a view (H, W), those with the most significant brightness step first.
 
     Only the direction of the brightness gradient votes, so a disc in the shade counts as much as one in the light and
     no illumination needs to be divided out. `background`, the view without the target, is therefore not divided by: its
@@ -36,7 +36,8 @@ def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count
 
 
 def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Disc:
-    """Return the hole of the scale ring in a view (H, W), which is the most significant large dark disc.
+    """Return the hole of the scale ring in a view (H, W): the large dark disc with the most significant brightness
+    step.
 
     Its `axis_ratio` shows how obliquely the ring is imaged; its `radius_px` is that of the circle of equal area.
     Raises FingerflowError if there is none; for `background` and other errors see `find_discs`.
@@ -63,7 +64,7 @@ def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii:
     found: list[Disc] = []
     for center, radius in _candidates(image, smallest, largest):
         disc = fit_disc(image, center, radius)
-        if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_there(empty, disc):
+        if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_in_background(empty, disc):
             found.append(disc)
     found.sort(key=lambda disc: -disc.significance)
     separate: list[Disc] = []
@@ -91,8 +92,8 @@ def _is_disc(disc: Disc) -> bool:
     )
 
 
-def _is_there(background: Array | None, disc: Disc) -> bool:
-    """Return whether the image `background` also shows a disc of equal position and size; False without background."""
+def _is_in_background(background: Array | None, disc: Disc) -> bool:
+    """Return whether the image `background` shows a disc of the same position and size; False without a background."""
     if background is None:
         return False
     same = fit_disc(background, disc.center, disc.radius_px)
@@ -123,7 +124,7 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
             if smallest <= radius * reduction * 2**0.25 and radius * reduction <= largest
         ]
         if radii:
-            votes += _votes_of_octave(levels, reduction, radii)
+            votes += _hough_circles(levels, reduction, radii)
         reduction *= 2
     # Chance agreement does not depend on the radius, but texture agrees mostly with small circles.
     votes.sort(key=lambda vote: -vote[0] * np.sqrt(vote[3]))
@@ -139,8 +140,11 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
     return best
 
 
-def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return likely circles (agreement, x, y, radius) px in a reduced image, by Hough votes of brightness gradients."""
+def _hough_circles(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
+    """Return circles (agreement, x, y, radius) that agree with the brightness gradients of a reduced image.
+
+    They are found by a Hough transform, and x, y and radius are in px of the image before reduction.
+    """
     height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)

@@ -29,8 +29,9 @@ RAGGEDNESS_HARMONICS = range(3, 9)
 
 @dataclass(frozen=True)
 class Disc:
-    """Dark disc measured in a view, in which the disc appears as an ellipse. Pixels are those of the view, (x, y),
-    integers at pixel centres.
+    """Dark disc measured in a view, in which the disc appears as an ellipse.
+
+    Positions are (x, y) in px of the view; integers are pixel centres.
 
     `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
     `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
@@ -136,7 +137,11 @@ class _Unwrapped:
         return self.middle + factor[:, None] * (circle @ self.shape), angle
 
     def step(self) -> tuple[float, float]:
-        """Return the brightness step at the disc edge as a fraction of the outside, and in standard deviations."""
+        """Return the brightness step at the disc edge as a fraction of the brightness outside, and in standard
+        deviations.
+
+        The standard deviation is that of the step along the edge.
+        """
         whole = self.inside_image.all(axis=1)
         if not whole.any():
             return 0.0, 0.0
@@ -154,7 +159,10 @@ class _Unwrapped:
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Fit an ellipse to edge points by robust Gauss-Newton least squares; None if the fit fails."""
+    """Fit an ellipse to edge points by robust least squares; return centre, inverse shape matrix and point weights.
+
+    The fit starts from `middle` and `inverse`. None is returned if it fails.
+    """
     if len(points) < 12:
         return None
     # Few iterations suffice: the next unwrapping starts from this result.

@@ -64,7 +64,7 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
 
 
 def _draw_discs(axes: Axes, image: Array, discs: list[Disc]) -> None:
-    axes.imshow(_visible(image), cmap="gray", vmin=0, vmax=255)
+    axes.imshow(_flatten_light(image), cmap="gray", vmin=0, vmax=255)
     for label, disc in zip(LABELS, discs, strict=False):
         _draw_outline(axes, disc)
         x, y = disc.center
@@ -85,7 +85,7 @@ def _draw_discs(axes: Axes, image: Array, discs: list[Disc]) -> None:
 
 def _draw_hole(axes: Axes, image: Array, calibration: Calibration) -> None:
     hole = calibration.hole
-    axes.imshow(_visible(image), cmap="gray", vmin=0, vmax=255)
+    axes.imshow(_flatten_light(image), cmap="gray", vmin=0, vmax=255)
     _draw_outline(axes, hole)
     axes.set_title(
         f"{1000 * calibration.mm_per_px:.3f} µm/px: radius of the hole {calibration.hole_radius_mm:g} mm = "
@@ -97,11 +97,11 @@ def _draw_blends(
     blend: Axes, checker: Axes, images: tuple[Array, Array], affine: Transform, similarity: Transform
 ) -> None:
     height, width = images[1].shape
-    moved = cv2.warpAffine(_even(images[0]), affine.matrix, (width, height), flags=cv2.INTER_LINEAR)
+    moved = cv2.warpAffine(_standardise(images[0]), affine.matrix, (width, height), flags=cv2.INTER_LINEAR)
     covered = (
         cv2.warpAffine(np.ones(images[0].shape, np.uint8), affine.matrix, (width, height), flags=cv2.INTER_NEAREST) > 0
     )
-    contact = _even(images[1])
+    contact = _standardise(images[1])
     blend.imshow(np.stack([moved, contact, moved], axis=-1))
     angle = np.degrees(np.arctan2(similarity.matrix[1, 0], similarity.matrix[0, 0]))
     growth = np.hypot(*similarity.matrix[:, 0])
@@ -134,8 +134,8 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
     axes.plot(*disc.center, "+", color="yellow", markersize=10, markeredgewidth=1)
 
 
-def _visible(image: Array) -> NDArray[np.uint8]:
-    """Return an 8-bit image for display, without slow variations of light."""
+def _flatten_light(image: Array) -> NDArray[np.uint8]:
+    """Return an 8-bit image for display, from which slow variations of brightness are removed."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
@@ -144,7 +144,7 @@ def _visible(image: Array) -> NDArray[np.uint8]:
     return result
 
 
-def _even(image: Array) -> NDArray[np.uint8]:
+def _standardise(image: Array) -> NDArray[np.uint8]:
     """Return an 8-bit image with standardised mean and contrast, so that differently lit views can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     # Applied twice, to remove the remaining slope of the light.

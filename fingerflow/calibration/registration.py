@@ -24,7 +24,7 @@ AMBIGUOUS = 0.5
 
 @dataclass(frozen=True)
 class Transform:
-    """Transform between two views: affine or similarity `matrix` (2, 3) from px (x, y, 1) to px (x, y).
+    """Transform between two views: an affine or similarity `matrix` (2, 3) from px (x, y, 1) to px (x, y).
 
     `residuals_px` (N, 2) are found minus transformed.
     """

@@ -102,7 +102,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     """
     kind = precision or TYPES[recipe.export.precision]
     own = recipe.tracking
-    described = {**_of_contact(recipe, kind), **_of_points(recipe, kind), **_of_fields(recipe)}
+    described = {**_contact_graphs(recipe, kind), **_point_graphs(recipe, kind), **_field_graphs(recipe)}
     described["detect"] = (
         DetectGraph(own.points, own.min_distance_px, own.window_px, kind),
         ("topography_view", "mask"),
@@ -118,8 +118,8 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
 _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]
 
 
-def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the callable, inputs and outputs of each graph of the contact view."""
+def _contact_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
+    """Return, by graph name, the function and the input and output names of each graph of the contact view."""
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -135,8 +135,8 @@ def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
     }
 
 
-def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return the callable, inputs and outputs of each graph of tracked points in the topography view."""
+def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
+    """Return, by graph name, the function and the input and output names of each graph of tracked points."""
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -147,10 +147,10 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
     search = SearchGraph(own.window_px, own.search_px, own.forward_backward_limit_px)
 
     def prepare(view: Tensor, points: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        return _all_of(key(view, points, noise))
+        return _given_tensors(key(view, points, noise))
 
     def renew(spline: Tensor, noise: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        return _all_of(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
+        return _given_tensors(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
 
     def find(*given: Tensor) -> tuple[Tensor, ...]:
         return tuple(track(Templates(*given[:3]), *given[3:]))
@@ -204,8 +204,10 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
     }
 
 
-def _of_fields(recipe: Recipe) -> _Described:
-    """Return the callable, inputs and outputs of each graph that computes fields from displacements on the glass."""
+def _field_graphs(recipe: Recipe) -> _Described:
+    """Return, by graph name, the function and the input and output names of each graph that computes deformation
+    fields.
+    """
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -225,6 +227,6 @@ def _of_fields(recipe: Recipe) -> _Described:
     }
 
 
-def _all_of(templates: Templates) -> tuple[Tensor, ...]:
-    """Return all tensors of `Templates` as a tuple, without None."""
+def _given_tensors(templates: Templates) -> tuple[Tensor, ...]:
+    """Return the tensors of `Templates` as a tuple, without optional fields that are None."""
     return tuple(one for one in templates if one is not None)

@@ -62,7 +62,7 @@ class GraphCall(NamedTuple):
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for one recording of a batch, with one row of each batched tensor.
+        """Return the call for recording number `place` of a batch, with that row of each batched tensor.
 
         Tensors (1, ...) serve all recordings.
         """
@@ -81,7 +81,7 @@ class GraphCall(NamedTuple):
         return arguments
 
 
-def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
+def pad_points(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
     """Pad tensors along the axis of points to `room` points, with NaN or, for integers, with 0."""
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):

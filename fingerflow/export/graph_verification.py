@@ -123,7 +123,7 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
         ours, near, far = (values[textured] for values in (ours, near, far))
     if graph == "detect" and output == "points":
         # Corners of nearly equal strength change their order, and which of them are last may differ.
-        return Difference(graph, output, unit, _absent(near, ours), _absent(far, ours), 0, 0.0)
+        return Difference(graph, output, unit, _missing_share(near, ours), _missing_share(far, ours), 0, 0.0)
     if not np.issubdtype(near.dtype, np.floating):
         share = float(np.mean(ours != far)) if ours.size else 0.0
         return Difference(graph, output, unit, float(np.max(ours != near, initial=0)), 0.0, 0, share)
@@ -133,8 +133,8 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
     return Difference(graph, output, unit, _largest(ours, near) / scale, _largest(ours, far) / scale, flips, share)
 
 
-def _absent(expected: NDArray[Any], found: NDArray[Any]) -> float:
-    """Return the share of expected corners (B, N, 2) that were not found, minus a tolerance of 1 %."""
+def _missing_share(expected: NDArray[Any], found: NDArray[Any]) -> float:
+    """Return the share of expected corners (B, N, 2) that were not found, less a tolerance of 1 %; at least 0."""
     known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
     absent = len(known[0] - known[1]) / max(1, len(known[0]))
     return max(0.0, absent - _MOST_FLIPS)

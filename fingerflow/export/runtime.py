@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as tree
 
-from fingerflow.export.calls import GraphCall, axes_that_differ, filled_up, settings_of
+from fingerflow.export.calls import GraphCall, axes_that_differ, pad_points, settings_of
 from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
@@ -97,7 +97,7 @@ class OnnxRuntime:
         """
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
         facts = [
-            _code(),
+            _source_hash(),
             torch.__version__,
             leaves.title,
             settings_of(leaves.module),
@@ -109,7 +109,7 @@ class OnnxRuntime:
 
 
 class _Executed:
-    """Wrapper of a torch module, with the same attributes, that executes methods by ONNX Runtime."""
+    """Wrapper of a torch module with the same attributes, whose methods ONNX Runtime executes."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
         self._module, self._runtime = module, runtime
@@ -131,7 +131,7 @@ class _Executed:
     def _run_one(self, method: str, call: GraphCall) -> Any:
         given, along, points = call.tensors, call.tensor_axes, call.points
         inputs = [name for name, value in zip(call.names, call.values, strict=True) if isinstance(value, Tensor)]
-        tensors = filled_up(given, along, _room(points))
+        tensors = pad_points(given, along, _padded_count(points))
         key = (
             method,
             repr(call.settings),
@@ -144,7 +144,7 @@ class _Executed:
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
                 more = result
                 if points:
-                    more = tree.tree_leaves(leaves.result(*filled_up(given, along, _room(points) + 1)))
+                    more = tree.tree_leaves(leaves.result(*pad_points(given, along, _padded_count(points) + 1)))
             # For each result its axes of points, without its memory; None for one that is no tensor.
             of_results = [
                 axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else None
@@ -169,13 +169,13 @@ class _Executed:
         return tree.tree_unflatten(joined, result_structure)
 
 
-def _room(points: int) -> int:
+def _padded_count(points: int) -> int:
     """Return the power of 2 to which a number of points is padded; 0 for 0 points."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
 class _Leaves(nn.Module):
-    """Torch module that wraps a method for ONNX export: takes tensors by position, and returns a tuple of tensors."""
+    """Torch module that wraps a method for ONNX export: it takes tensors by position and returns a tuple of tensors."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
@@ -183,7 +183,7 @@ class _Leaves(nn.Module):
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
 
     def result(self, *tensors: Tensor) -> Any:
-        """Call the wrapped method and return the result as it is, not flattened to a tuple."""
+        """Call the wrapped method and return its original result, not flattened to a tuple."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
@@ -202,7 +202,7 @@ def _own_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return whether a path is a folder, no link, of this user, that no other user may write to."""
+    """Return whether a path is a folder of this user, not a link, to which no other user may write."""
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return False
@@ -211,7 +211,7 @@ def _is_private(folder: Path) -> bool:
 
 
 @functools.cache
-def _code() -> str:
+def _source_hash() -> str:
     """Return a hash of the source code that determines the exported graphs."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]

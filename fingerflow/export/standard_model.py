@@ -53,7 +53,7 @@ def standard_model(
         onnxscript.optimizer.fold_constants(program.model)
         onnxscript.optimizer.remove_unused_nodes(program.model)
     model = program.model_proto
-    _take_by_short_numbers(model.graph)
+    _use_int32_indices(model.graph)
     for node in model.graph.node:  # remove stack traces of this machine
         node.doc_string = ""
         del node.metadata_props[:]
@@ -71,7 +71,7 @@ def standard_model(
     return model
 
 
-def _take_by_short_numbers(graph: Any) -> None:
+def _use_int32_indices(graph: Any) -> None:
     """Let Gather nodes of an ONNX graph take int32 indices, by removing the exporter's cast to int64."""
     import onnx
 

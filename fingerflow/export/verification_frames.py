@@ -62,14 +62,14 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "mask": torch.ones(batch, 1, *size, dtype=torch.bool),
         "points": points,
         "prediction": points,
-        "warp": _warp(points),
-        "inverse_warp": inverse_2x2(_warp(points)),
+        "warp": _deformation_gradients(points),
+        "inverse_warp": inverse_2x2(_deformation_gradients(points)),
         "reference": reference,
         "displacement": mm_per_px * points - reference,
         "queries": mm_per_px * points,
         "gauge_length": torch.full((batch,), recipe.fields.gauge_length_mm),
         "among": among,
-        "gradient": torch.where(among[..., None, None], (_warp(points) - torch.eye(2)) / 2, torch.nan),
+        "gradient": torch.where(among[..., None, None], (_deformation_gradients(points) - torch.eye(2)) / 2, torch.nan),
         **{f"ellipse_{name}": one for name, one in _ellipse(batch, size, mm_per_px).items()},
     }
     noise = view((torch.rand(size, generator=generator) * most).round())
@@ -104,7 +104,7 @@ def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
 
 
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Select the inputs of one graph by name; graphs of the key frame get the key view as topography view."""
+    """Return the inputs of one graph by name; graphs that run on the key frame get `key_view` as topography view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
@@ -153,7 +153,7 @@ def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
     return torch.where(radius < _BORDER - 0.05, points - moved, torch.nan)
 
 
-def _warp(points: Tensor) -> Tensor:
+def _deformation_gradients(points: Tensor) -> Tensor:
     """Create deformation gradients (B, N, 2, 2): the identity plus a few per cent that vary from point to point."""
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)

@@ -23,7 +23,10 @@ Array = NDArray[np.float64]
 
 
 class Friction(NamedTuple):
-    """Friction forces (N,) on N elements, with derivatives with respect to position along and above the plate."""
+    """Friction forces (N,) on N elements, and derivatives of these forces with respect to x and z of the elements.
+
+    x is along the plate, z above it.
+    """
 
     force: Array
     along: Array

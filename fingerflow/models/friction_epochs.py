@@ -32,7 +32,11 @@ class FrictionEpochs:
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return median and interquartile range of the sliding epochs' medians, and their number, in each of A bins."""
+        """Return median and interquartile range of friction over the sliding epochs, and the number of epochs, each
+        (A,).
+
+        There is one value for each of A bins of vibration amplitude; an epoch counts with its median in the bin.
+        """
         return _summary(self.median)
 
 
@@ -47,7 +51,8 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Compute the friction coefficient |T| / N of every sliding epoch in bins of vibration amplitude.
+    """Compute the friction coefficient (tangential over normal force) of each sliding epoch, in bins of vibration
+    amplitude.
 
     The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
     from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
@@ -65,7 +70,7 @@ def friction_epochs(
             that frequency, fewer than 8 samples per half period, or normal forces that are nowhere positive.
     """
     signals = {"normal": normal, "tangential": tangential, "position": position, "amplitude": amplitude}
-    at, ratio, place, height = _checked(time, signals, edges)
+    at, ratio, place, height = _check_trace(time, signals, edges)
     step = float(at[-1] - at[0]) / (len(at) - 1)
     half = 0.5 / modulation_hz
     if half < _LEAST_SAMPLES * step:
@@ -76,7 +81,7 @@ def friction_epochs(
     width = max(1, min(round(half / step / _PARTS / 2), (len(at) - 1) // 2))
     sliding = savgol_filter(place, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
     first, last = [], []
-    rises, speed = _rises(at, height, modulation_hz)
+    rises, speed = _fit_modulation(at, height, modulation_hz)
     for begin in rises:
         start, stop = np.searchsorted(at, (begin - 1e-6 * half, begin + half * (1 + 1e-6)))
         if begin >= at[0] - step / 2 and begin + half <= at[-1] + step / 2 and sliding[start:stop].all():
@@ -91,17 +96,19 @@ def friction_epochs(
         for start, stop in zip(first, last, strict=True)
     ]
     shape = (len(first), len(edges) - 1)
-    quartiles = [[_quartiles(ratio[some], speed[some]) for some in row] for row in kept]
+    quartiles = [[_median_and_iqr(ratio[some], speed[some]) for some in row] for row in kept]
     of = torch.tensor(quartiles, dtype=torch.float64).reshape(*shape, 2)
     count = torch.tensor([[len(some) for some in row] for row in kept], dtype=torch.int64).reshape(shape)
     begins, ends = (torch.tensor(list(map(int, indices)), dtype=torch.int64) for indices in (first, last))
     return FrictionEpochs(begins, ends, edges, of[..., 0], of[..., 1], count)
 
 
-def _rises(
+def _fit_modulation(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sinusoid to a vibration amplitude; return the times (s) of its minima, and its relative |da/dt| (T,)."""
+    """Fit a sinusoid to a vibration amplitude a; return the times (s) of its minima, and |da/dt| (T,) over its
+    maximum.
+    """
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -117,7 +124,7 @@ def _rises(
     return time[0] + (lowest / (2 * np.pi) + periods) / frequency, np.abs(np.sin(phase - lowest))
 
 
-def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
+def _median_and_iqr(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
     """Return the weighted median and interquartile range of values; NaN if all weights are 0.
 
     A value stands at the middle of its weight in the distribution; between values the quantile is linear.
@@ -133,15 +140,18 @@ def _quartiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tup
 
 def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     columns = [column[np.isfinite(column)] for column in values.T.numpy()]
-    rows = [_quartiles(column, np.ones(len(column))) for column in columns]
+    rows = [_median_and_iqr(column, np.ones(len(column))) for column in columns]
     of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
     return of[:, 0], of[:, 1], values.isfinite().sum(0)
 
 
-def _checked(
+def _check_trace(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Check a tribometer trace, and return time, |T| / N, position and vibration amplitude as float64."""
+    """Check a tribometer trace, and return time, friction ratio, position and vibration amplitude as float64.
+
+    The friction ratio is tangential over normal force; NaN where the normal force is not positive.
+    """
     if time.ndim != 1 or len(time) < 3:
         raise ValueError(f"time is {tuple(time.shape)}: give (T,), three samples or more")
     for name, signal in signals.items():

@@ -77,7 +77,7 @@ def stress(
 
 
 class _Kernels(NamedTuple):
-    """Integrals of four stress kernels over each of M load strips, (..., points, M)."""
+    """Integrals (..., points, M) of four stress kernels over each of M load strips."""
 
     z_rr: Tensor  # of 2 z r^2 / R^4
     zzz: Tensor  # of 2 z^3 / R^4
@@ -102,7 +102,7 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     large = (1 + cosine_sum.abs()) / 2
     small = sine_sum * sine_sum / (4 * large)
     sine_half, cosine_half = torch.where(ahead, small, large), torch.where(ahead, large, small)
-    excess = _less_sine(theta, sine)
+    excess = _angle_minus_sine(theta, sine)
     zz_r = sine * sine_sum
     # h = log(R_1 / R_2); 2 h - sin theta sin Sigma = 2 (h - sinh h) + 2 sinh h (sin^2(theta/2) + sin^2(Sigma/2))
     growth = width * between
@@ -113,19 +113,19 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     half = torch.sin(theta / 2)
     near_one = h.abs() < 1
     # sinh h - h is the same series as theta - sin theta with all signs positive.
-    careful = 2 * sinh * (half * half + sine_half) - 2 * _sinh_less(torch.where(near_one, h, 0.0))
+    careful = 2 * sinh * (half * half + sine_half) - 2 * _sinh_minus_value(torch.where(near_one, h, 0.0))
     rrr = torch.where(near_one, careful, 2 * h - zz_r)
     return _Kernels(excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr)
 
 
-def _less_sine(angle: Tensor, sine: Tensor) -> Tensor:
+def _angle_minus_sine(angle: Tensor, sine: Tensor) -> Tensor:
     """Return angle - sin(angle) >= 0, without cancellation at small angles."""
     small = angle < 1
     reduced = torch.where(small, angle, 0.0)
     return torch.where(small, _odd_series(reduced, -1.0), angle - sine)
 
 
-def _sinh_less(value: Tensor) -> Tensor:
+def _sinh_minus_value(value: Tensor) -> Tensor:
     """Return sinh(value) - value for |value| < 1, without cancellation."""
     return _odd_series(value, 1.0)
 

@@ -40,33 +40,40 @@ def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the length R arccos((R - delta) / R) of the flattened skin arc; for arguments see `radial_strain`."""
+    """Return the length R arccos((R - delta) / R) of the flattened skin arc of a hemisphere of radius R indented by
+    delta.
+
+    Arguments are those of `radial_strain`.
+    """
     ratio, radius = _ratio(delta, radius)
     return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the contact radius sqrt(R^2 - (R - delta)^2) of a hemisphere; for arguments see `radial_strain`."""
+    """Return the contact radius sqrt(R^2 - (R - delta)^2) of a hemisphere of radius R that is indented by delta.
+
+    Arguments are those of `radial_strain`.
+    """
     ratio, radius = _ratio(delta, radius)
     return radius * (ratio * (2 - ratio)).sqrt()
 
 
 def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Check indentation and radius, and return delta / R and R as float64."""
+    """Check an indentation and a radius; return their ratio, and the radius, as float64."""
     depth, size = (torch.as_tensor(value, dtype=torch.float64) for value in (delta, radius))
     if not bool(((size > 0) & (size < torch.inf)).all()):
-        raise ValueError(f"radius {_worst(size, size > 0)}: give a positive length, in the unit of delta")
+        raise ValueError(f"radius {_first_invalid(size, size > 0)}: give a positive length, in the unit of delta")
     allowed = (depth >= 0) & (depth <= size)
     if not bool(allowed.all()):
         depth, size = torch.broadcast_tensors(depth, size)
         raise ValueError(
-            f"delta {_worst(depth, allowed)} with a radius of {_worst(size, allowed)}: "
+            f"delta {_first_invalid(depth, allowed)} with a radius of {_first_invalid(size, allowed)}: "
             "a half-sphere is indented by 0 to its radius; give both in one unit"
         )
     return depth / size, size
 
 
-def _worst(values: Tensor, allowed: Tensor) -> float:
+def _first_invalid(values: Tensor, allowed: Tensor) -> float:
     """Return the first value that violates a condition or is not finite, for an error message."""
     wrong = values[~(allowed & values.isfinite())]
     return float((wrong if len(wrong) else values).flatten()[0])

@@ -102,7 +102,7 @@ def press(
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
 ) -> PressedChain:
-    """Press a skin chain on the plate with a sudden load until all forces balance, to 2e-7 of the load.
+    """Press a skin chain on the plate with a sudden load, until the unbalanced forces are below 2e-7 of the load.
 
     With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. There is no
     gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
@@ -124,7 +124,7 @@ def press(
         RuntimeError: no step length meets the tolerance.
     """
     given = load_n, tangential_n, indentation_m, slide_m
-    chains, start = _begun(friction, parameters, elements, given)
+    chains, start = _undeformed_chains(friction, parameters, elements, given)
     ends, held = _loads(chains.shape, given)
     coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
     # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
@@ -159,7 +159,7 @@ def follow(
     traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
     at = [_trace(name, value, len(time)) for name, value in traces.items()]
     given = [tuple(None if trace is None else trace[k] for trace in at) for k in range(len(time))]
-    chains, state = _begun(friction, parameters, elements, given[0])
+    chains, state = _undeformed_chains(friction, parameters, elements, given[0])
     found = []
     before, held = _loads(chains.shape, given[0])
     for k in range(len(time)):
@@ -173,8 +173,10 @@ def follow(
     return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
-def _begun(friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads) -> tuple[Chains, Motion]:
-    """Return the skin chains of all parameter sets, and their undeformed initial state."""
+def _undeformed_chains(
+    friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads
+) -> tuple[Chains, Motion]:
+    """Return the skin chains of all parameter sets, and their initial, undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     given = [*loads, *([] if callable(friction) else [friction])]
@@ -258,7 +260,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """Return the share (..., N - 1) of each link between neighbouring elements that lies on the plate.
+    """Return the fraction (..., N - 1) of each link between neighbouring elements that lies on the plate.
 
     Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
     length has no jumps.

@@ -42,7 +42,7 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Fit friction and tissue stiffness k_t of a skin chain by least squares in their logarithms.
+    """Fit the logarithms of friction and tissue stiffness k_t of a skin chain to measurements by least squares.
 
     The ratio of plate stiffness to k_t is constant.
 

@@ -1,4 +1,6 @@
-"""TR-BDF2 integrator of one skin chain: trapezoidal rule to 2 - sqrt 2 of the step, then second-order backward formula.
+"""TR-BDF2 time integrator of one skin chain: a trapezoidal rule over 2 - sqrt 2 of each step, then a backward formula.
+
+The second stage is the second-order backward differentiation formula (BDF2).
 
 Both stages have the same matrix, damping I + c K with c = (1 - 1 / sqrt 2) step. The method is of second order and
 damps stiff modes. Its error is estimated by Hosea & Shampine (1996), equation 6, and filtered by the same matrix, as
@@ -40,7 +42,10 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the bone over one interval, along x and z: forces in N, or displacements in m in a held direction."""
+    """Load on the bone along x and z over one time interval: forces in N, or prescribed displacements in m.
+
+    `held` marks the directions in which the displacement is prescribed.
+    """
 
     first: Array  # (2,)
     last: Array  # (2,)
@@ -51,7 +56,7 @@ class Load:
 
 
 def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_]) -> Array:
-    """Return the unbalanced forces (N + 1, 2) on elements and bone, N; 0 for the bone in held directions."""
+    """Return the unbalanced forces (N + 1, 2) on elements and bone, N; 0 where the motion of the bone is prescribed."""
     forces = elastic_forces(chain, state.nodes)
     forces[:-1, 0] -= state.friction
     forces[-1] = np.where(held, 0.0, forces[-1] + load)
@@ -59,7 +64,8 @@ def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_])
 
 
 def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
-    """Advance one chain by ``duration`` s, or until forces balance to ``rest`` N; return the elapsed time (s).
+    """Advance one chain by ``duration`` s, or until the unbalanced forces sum to ``rest`` N; return the elapsed time
+    (s).
 
     ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
     early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
@@ -72,7 +78,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
         left = duration - time
         step = left if state.step > 0.99 * left else state.step
         error = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
-        growth = _growth(error)
+        growth = _step_factor(error)
         if growth < 1 or step == state.step:  # a last step cut short says nothing about longer ones
             state.step = step * growth
         if error <= 1:
@@ -89,8 +95,10 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
     return time
 
 
-def _growth(error: float) -> float:
-    """Return the factor for the next time step from the error of the last one: a power of 2^(1/4), 2^(-7/4) to 2.
+def _step_factor(error: float) -> float:
+    """Return the factor for the next time step, given the error of the last step relative to the tolerance.
+
+    It is a power of 2^(1/4), from 2^(-7/4) to 2.
 
     The coarse grid keeps rounding in the error from changing the step lengths.
     """
@@ -153,7 +161,7 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve damping (X - known) = c forces(X) for node positions X by Newton's method.
+    """Solve an implicit step, damping (X - known) = c forces(X), for node positions X by Newton's method.
 
     Return X, the friction and the last matrix.
 

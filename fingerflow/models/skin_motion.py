@@ -28,7 +28,7 @@ class Motion:
     steps: Tensor  # (...) int64
 
     def single(self, index: int) -> State:
-        """Return a copy of the state of the chain with a given flat index, without velocity."""
+        """Return a copy of the state of one chain, selected by its flat index; the velocity is left out."""
         count = self.place.shape[-2]
         place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]
@@ -97,7 +97,7 @@ def moved(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Return the motion after advancing all chains by ``duration`` s, or until forces balance to ``rest`` N.
+    """Return the motion after all chains advanced by ``duration`` s, or until the unbalanced forces sum to ``rest`` N.
 
     The loads (..., 2, 2) along x and z are those at the first and the last time.
 

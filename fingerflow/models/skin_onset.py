@@ -19,7 +19,9 @@ _SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as roundin
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """Displacement and divergence since contact, at T times and M elements from the axis outward; NaN off contact."""
+    """Displacement and divergence since contact, at T times and M elements, from the axis outward; NaN off the
+    contact.
+    """
 
     radius: Tensor  # (T, ..., M) distance from the axis now
     displacement: Tensor  # (T, ..., M) outward since the onset

@@ -1,4 +1,4 @@
-"""Parameters of the skin chain in SI units: from the paper, from the lab's code, and for the printed contact area."""
+"""Parameter sets of the skin chain in SI units: from the paper, from the lab's code, and for the printed area."""
 
 import math
 from dataclasses import dataclass, fields, replace

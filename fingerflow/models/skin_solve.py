@@ -13,7 +13,9 @@ from fingerflow.models.skin_forces import Array, Chain, tissue_slopes
 
 
 class Arrow:
-    """Arrow-shaped matrix damping I + c K of an implicit step, with K the negative derivative of the forces."""
+    """Arrow-shaped matrix D + c K of an implicit step, with damping D and stiffness K, the negative derivative of
+    forces.
+    """
 
     def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
         """Assemble the matrix; ``held`` (2,) bool marks directions in which the bone's motion is prescribed."""

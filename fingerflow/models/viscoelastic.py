@@ -58,7 +58,7 @@ def viscoelastic_strain(
     elastic = across.double() / young_modulus  # the equilibrium strain of each stress
     rates = torch.as_tensor(rate, dtype=torch.float64)
     delays = rates * time.double().diff().reshape(-1, *[1] * max(rates.ndim, elastic.ndim - 2))
-    early, late = (share[:, None] for share in _shares(delays))
+    early, late = (share[:, None] for share in _step_weights(delays))
     left, gained = torch.exp(-delays)[:, None], early * elastic[:-1] + late * elastic[1:]
     strain = torch.zeros_like(elastic[0])
     strains = [strain]
@@ -68,7 +68,7 @@ def viscoelastic_strain(
     return Strain(*torch.stack(strains, 1))
 
 
-def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
+def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:
     """Return the weights of the equilibrium strain at the start and at the end of a time step.
 
     x is the relaxation rate times the step.
@@ -77,13 +77,13 @@ def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
     """
     small = delay < 0.5
     large, reduced = torch.where(small, 1.0, delay), torch.where(small, delay, 0.0)
-    late = torch.where(small, _late(reduced), 1 + torch.expm1(-large) / large)
-    early = torch.where(small, -torch.exp(-reduced) * _late(-reduced), 1 - torch.exp(-large) - late)
+    late = torch.where(small, _end_weight(reduced), 1 + torch.expm1(-large) / large)
+    early = torch.where(small, -torch.exp(-reduced) * _end_weight(-reduced), 1 - torch.exp(-large) - late)
     return early, late
 
 
-def _late(x: Tensor) -> Tensor:
-    """Return the weight at the end of a time step: (x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
+def _end_weight(x: Tensor) -> Tensor:
+    """Return the weight of the end of a time step, (x - 1 + exp(-x)) / x, by the series x / 2! - x^2 / 3! + ..."""
     total = torch.zeros_like(x)
     for k in range(14, 0, -1):
         total = x * (1 / math.factorial(k + 1) - total)

@@ -69,7 +69,7 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
             for stage in stages
             if kind.computes(stage.place().name)
             and any(one.unasked for one in stage.gives)
-            and not _lacking(stage, scene, at)
+            and not _missing_keys(stage, scene, at)
         ]
         return _with_needs(wanted, frozenset(), at)
     names, stage_of = list(outputs), {variable.name: stage for stage in stages for variable in stage.gives}
@@ -79,9 +79,9 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
             hint = f"did you mean {close[0]!r}? " if close else ""
             raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
         stage = stage_of[name]
-        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _lacking(stage, scene, at)
+        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene, at)
         if lacking:
-            possible = [one for one in OUTPUTS if not _lacking(stage_of[one], scene, at)]
+            possible = [one for one in OUTPUTS if not _missing_keys(stage_of[one], scene, at)]
             possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
             why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
             raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
@@ -102,11 +102,11 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
     return Plan(run, asked.union(*(stage.reads for stage in run)))
 
 
-def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
+def _missing_keys(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
     """Return the scene keys that are missing for a stage, or for one of the stages on which the stage depends.
 
     `at` maps `Stage.place` to the implementation that is used.
     """
     lacking = [need for need in stage.needs if not scene.has(need)]
     earlier = (at[one] for one in (*stage.after, *stage.beside))
-    return lacking + [key for one in earlier for key in _lacking(one, scene, at)]
+    return lacking + [key for one in earlier for key in _missing_keys(one, scene, at)]

@@ -76,7 +76,7 @@ class Reused(NamedTuple):
         stage.restore(self.earlier)
         stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
 
-    def said(self) -> str:
+    def as_json(self) -> str:
         """Return as JSON which stages were reused, and why each other stage was computed."""
         names = sorted(stage.name for stage in self.stages)
         computed = {stage.name: why for stage, why in self.computed.items()}
@@ -84,7 +84,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache key of each planned stage, by the class of the stage (`Stage.place`).
+    """Return the cache keys of all planned stages, as a dictionary by stage class (`Stage.place`).
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -111,7 +111,9 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
 def record(
     plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
 ) -> str:
-    """Return cache key, variable names and warnings of each stage as JSON, which the result stores for later reuse."""
+    """Return cache key, variable names and warnings of each stage as JSON, to be stored in the result for later
+    reuse.
+    """
     return json.dumps(
         {
             kind.name: {
@@ -141,7 +143,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
         place = stage.place()
-        why = whole or _why_not(stage, plan, keys[place], known.get(stage.name), computed)
+        why = whole or _reason_to_compute(stage, plan, keys[place], known.get(stage.name), computed)
         if why:
             computed[place] = why
     # A stage that runs needs the steps of stages beside it, and stages after which it comes unless `restored`.
@@ -155,10 +157,10 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     return Reused(earlier, path, taken, computed)
 
 
-def _why_not(
+def _reason_to_compute(
     stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
-    """Return the reason why the earlier results of a stage cannot be reused, or "" for reusable results."""
+    """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
     if known is None:
         return "it was not computed there"
     lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
@@ -182,7 +184,10 @@ def _why_not(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield (dotted key, value) of a scene key or of all keys of a table, with a digest in place of a file."""
+    """Yield the dotted name and the value of a scene key, or of each key in a table.
+
+    For a key that names a file, the value is a digest of the file's content.
+    """
     if key == _TIMES:
         yield key, digest_of_bytes([inputs.times.tobytes()])
         return

@@ -80,7 +80,9 @@ def process(
     """
     with torch.inference_mode():
         if to is None:
-            return run_alone(_in_memory(scene, outputs, device, engine, _Way(progress, ahead=True, earlier=earlier)))
+            return run_alone(
+                _in_memory(scene, outputs, device, engine, _RunOptions(progress, ahead=True, earlier=earlier))
+            )
         run_alone(steps_to(Path(to), scene, outputs, device, engine, overwrite, earlier, progress, ahead=True))
     return open_own(Path(to))
 
@@ -116,7 +118,7 @@ def process_together(
     """
     outputs = outputs if outputs is None or isinstance(outputs, str) else list(outputs)
     if to is None:
-        return run_steps([_in_memory(scene, outputs, device, engine, _Way()) for scene in scenes])
+        return run_steps([_in_memory(scene, outputs, device, engine, _RunOptions()) for scene in scenes])
     files = [Path(path) for path in to]
     given = zip(files, scenes, strict=True)
     run_steps([steps_to(path, scene, outputs, device, engine, overwrite) for path, scene in given])
@@ -152,11 +154,11 @@ def steps_to(
         check_disk(to, ready.size)
         frames = len(ready.inputs.times)
         with written_atomically(to) as part, FileStore(ready.variables, frames, part) as file:
-            yield from _run(ready, file, _Way(progress, ahead, earlier))
+            yield from _run(ready, file, _RunOptions(progress, ahead, earlier))
 
 
 @dataclass(frozen=True)
-class _Way:
+class _RunOptions:
     """Options of a run: show a progress bar, prepare the next batch in a second thread, reuse an earlier result."""
 
     progress: bool = False
@@ -165,7 +167,7 @@ class _Way:
 
 
 def _in_memory(
-    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str, way: _Way
+    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str, way: _RunOptions
 ) -> Steps[xr.Dataset]:
     with _prepared(scene, outputs, device, engine) as ready:
         check_memory(ready.size)
@@ -175,7 +177,7 @@ def _in_memory(
 
 
 @dataclass(frozen=True)
-class _Ready:
+class _PreparedScene:
     """Scene prepared for a run: plan, opened inputs, ONNX runtime, result size in bytes, and variable definitions."""
 
     plan: Plan
@@ -191,7 +193,9 @@ class _Ready:
 
 
 @contextmanager
-def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_Ready]:
+def _prepared(
+    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str
+) -> Iterator[_PreparedScene]:
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     runtime = _onnx_runtime(engine, device)
@@ -199,10 +203,10 @@ def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: 
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        yield _PreparedScene(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
-def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
+def _run(ready: _PreparedScene, store: Store, way: _RunOptions) -> Steps[None]:
     """Run all passes of the plan and write the results to the store; reusable stages are copied, not run."""
     wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
@@ -217,7 +221,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
         if way.earlier is not None:
             earlier = Path(way.earlier)
             known = reused(held.enter_context(open_result(earlier)), earlier, wanted, keys, inputs)
-            said[TAKEN_OVER] = known.said()
+            said[TAKEN_OVER] = known.as_json()
         for kinds in wanted.passes():
             stages.update({kind.place(): kind(trial) for kind in kinds})
             running = [stages[kind.place()] for kind in kinds]
@@ -255,7 +259,7 @@ def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
     )
 
 
-def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _Way) -> Steps[None]:
+def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _RunOptions) -> Steps[None]:
     """Run the stages of one pass: begin each stage, process all batches of frames, and finish each stage."""
     for stage in stages:
         with _timed(seconds, stage.name):
@@ -269,7 +273,9 @@ def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float],
             stage.derive()
 
 
-def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _Way) -> Steps[None]:
+def _go_over_frames(
+    stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _RunOptions
+) -> Steps[None]:
     pictures = any(stage.reads_frames for stage in stages)
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):
@@ -279,7 +285,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
     *early, last = stages
 
     def begin(indices: np.ndarray) -> Steps[Batch]:
-        """Read one batch of frames and run every stage on it except the last stage.
+        """Read one batch of frames and run all stages but the last one on this batch.
 
         The last stage may still process the batch before.
         """
@@ -299,7 +305,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
     with bar:
         if way.ahead and pictures and early and torch.get_num_threads() > 1:
             # `closing` waits for the thread also after an error: the recording must not be closed while it reads.
-            with closing(_ahead(begin_alone, batches)) as begun:
+            with closing(_compute_ahead(begin_alone, batches)) as begun:
                 for batch in begun:
                     yield from _step(last, batch, seconds)
                     bar.update(len(batch.indices))
@@ -330,7 +336,7 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
     return OnnxRuntime(torch.get_num_threads())
 
 
-def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
+def _compute_ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
     """Yield `act(item)` for each item, like `map`, while a second thread computes the result for the next item.
 
     Closing the generator waits for the running computation.

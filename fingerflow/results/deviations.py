@@ -14,7 +14,7 @@ _AT_ONCE = 64  # frames
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """Return variable definitions; for a codec that hides errors, they state that standard deviations are unknown.
+    """Return the variable definitions `known`; for a lossy codec they state which standard deviations are invalid.
 
     A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
     residuals nor scatter show them, so a deviation cannot be widened to include them. On the press as H.264, 22 to 34 %

@@ -58,8 +58,9 @@ class PatientFile:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write all buffered bytes to the file. After a period with a full disk, return once how long it lasted;
-        otherwise None.
+        """Write all buffered bytes to the file.
+
+        The first success after a full disk returns the `Refusal` that it ends; otherwise None is returned.
 
         Args:
             wait: wait for room where there is none.
@@ -78,7 +79,7 @@ class PatientFile:
                         del self._kept[: os.write(self._file, self._kept)]
                     return self._recover()
                 except OSError as error:
-                    self._bear(error)
+                    self._raise_or_wait(error)
                     if not must_wait:
                         return None
             time.sleep(_AGAIN)  # without the lock: other threads go on writing
@@ -91,8 +92,8 @@ class PatientFile:
         """Close the file. Data that `flush` could not write are lost."""
         os.close(self._file)
 
-    def _bear(self, error: OSError) -> None:
-        """Raise a write error, unless the disk has been full for less than half a minute."""
+    def _raise_or_wait(self, error: OSError) -> None:
+        """Raise a write error, unless the cause is a disk that has been full for less than half a minute."""
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

@@ -68,7 +68,7 @@ class StoredValues(NamedTuple):
 
 
 class Own(dict[str, StoredValues]):
-    """Variables by name, and attributes, of a result file that this process itself wrote."""
+    """Variables by name, read from a result file that this process itself wrote, and the attributes of the file."""
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)

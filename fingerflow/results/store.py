@@ -89,7 +89,7 @@ class Store(ABC):
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Complete the results by coordinates and global attributes, after which nothing may be written."""
+        """Add coordinates and global attributes to the results, after which nothing more may be written."""
 
 
 class MemoryStore(Store):
@@ -231,7 +231,9 @@ def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -
 
 
 class _Stored:
-    """Array of a variable in an HDF5 file, read and written in ascending or descending runs of frames."""
+    """Array of a variable in an HDF5 file, which reads and writes runs of consecutive frames in ascending or descending
+    order.
+    """
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._variable, self._path, self.shape = variable, path, tuple(variable.shape)

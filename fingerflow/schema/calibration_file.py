@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
-    """Return a range of pixels as integers [first, end) with 0 <= first < end; raise ValueError if it is not one."""
+    """Check a range of pixels; return it as integers (first, end) with 0 <= first < end, or raise ValueError."""
     try:
         first, end = (int(value) for value in values)
         whole = (first, end) == tuple(values)

@@ -60,7 +60,10 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings [background]: recordings of the empty glass, and without light. A soft sensor needs neither."""
+    """Settings [background]: recordings of the empty glass, and of the dark view without light.
+
+    A soft sensor needs neither.
+    """
 
     frames: Path | None
     dark: Path | None
@@ -143,7 +146,7 @@ class FieldSettings:
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """Settings [slip]: how stick and slip are told apart in a trial of tangential loading.
+    """Settings [slip]: how stick and slip are distinguished in a trial of tangential loading.
 
     A scene with this table is of the kind "slip" unless it states another. ``stuck_mm`` is used by the criteria
     "displacement" and "relative". ``displacement`` is measured at tracked points or, by dense flow, everywhere.
@@ -204,12 +207,12 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True for a gel with markers and None for any other scene: None means "not present" to `Scene.has`."""
+        """Return True for a soft sensor (a gel with markers), else None, which `Scene.has` treats as missing."""
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if slip is measured by dense flow, else None, which `Scene.has` takes as missing."""
+        """Return True if slip is measured by dense flow, else None, which `Scene.has` treats as missing."""
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
@@ -241,7 +244,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """Return one scene, given as tables and keys, from a file that holds several scenes.
+    """Return one scene of a file that holds several, given the tables and keys of the scene.
 
     Args:
         written: tables and keys as parsed from TOML.

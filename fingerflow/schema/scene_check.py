@@ -102,7 +102,7 @@ class _Check:
         rest = {name: value for name, value in self._written.items() if name != "kind"}
         self.values = self._table((), SceneTable(tables), rest, ("kind",))
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
-            self.values["views"][role] = self._at(f"views.{view}")
+            self.values["views"][role] = self._value_at(f"views.{view}")
         for rule in RULES:
             self._rule(rule)
 
@@ -185,10 +185,12 @@ class _Check:
                 self._not_before(rule)
             case Together():
                 if rule.key in self.given and rule.other not in self.given:
-                    self._blame(rule.key, f"{rule.why}; {rule.remedy}")
+                    self._record_conflict(rule.key, f"{rule.why}; {rule.remedy}")
             case NotBoth():
                 if rule.key in self.given and rule.other in self.given:
-                    self._blame(rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}")
+                    self._record_conflict(
+                        rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}"
+                    )
             case OneEach():
                 self._one_each(rule)
             case InPlaceOf():
@@ -200,14 +202,14 @@ class _Check:
             case FitsTheViews():
                 self._fits_the_views(rule)
 
-    def _blame(self, key: str, said: str) -> None:
-        """Record that a key conflicts with other keys, quoting the value of the key as written in the scene file."""
+    def _record_conflict(self, key: str, said: str) -> None:
+        """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
         self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
-    def _at(self, key: str) -> Any:
+    def _value_at(self, key: str) -> Any:
         """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
@@ -215,21 +217,23 @@ class _Check:
         return value
 
     def _not_before(self, rule: NotBefore) -> None:
-        last, first = self._at(rule.key), self._at(rule.first)
+        last, first = self._value_at(rule.key), self._value_at(rule.first)
         if last is not None and first is not None and last < first:
             ours, other = (key.rpartition(".")[2] for key in (rule.key, rule.first))
-            self._blame(
+            self._record_conflict(
                 rule.key,
                 f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
             )
 
     def _one_each(self, rule: OneEach) -> None:
-        given, named = self._at(rule.key), [self._at(force) for force in rule.forces]
+        given, named = self._value_at(rule.key), [self._value_at(force) for force in rule.forces]
         if not isinstance(given, tuple) or named[0] is None:
             return
         count = sum(len(one) if isinstance(one, tuple) else one is not None for one in named)
         if len(given) != count:
-            self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
+            self._record_conflict(
+                rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first"
+            )
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
         """Apply a rule `InPlaceOf`: take scale and transform from the calibration file, and record conflicts."""
@@ -241,7 +245,7 @@ class _Check:
         others = [one.rpartition(".")[2] for one in (rule.needed, rule.transform) if one in self.given]
         if others:
             self._said.pop(tuple(rule.key.split(".")), None)  # replaces other problems of it: the user may remove it
-            self._blame(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
+            self._record_conflict(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
             return
         found, table = self._calibration, SCENE[place]
         if found is None or not isinstance(table, SceneTable):
@@ -261,18 +265,20 @@ class _Check:
         height, width = (end - first for first, end in view)
         if region[0][1] > height or region[1][1] > width:
             name = rule.view.rpartition(".")[2]
-            self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
+            self._record_conflict(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
         """Apply a rule `OneOf`: record a problem unless exactly one key of a table is given."""
         place, _, name = rule.key.rpartition(".")
-        table, around = self._at(rule.key), self._at(place)
+        table, around = self._value_at(rule.key), self._value_at(place)
         if not table or place not in self.given:  # a role shares the region of its view
             return
         given = [key for key in table if f"{rule.key}.{key}" in self.given]
         wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
         if rule.key in self.given and len(given) != 1 and not wrong:
-            self._blame(rule.key, f"one of {either(table)} is needed, and there are {' and '.join(given) or 'none'}")
+            self._record_conflict(
+                rule.key, f"one of {either(table)} is needed, and there are {' and '.join(given) or 'none'}"
+            )
         if rule.key not in self.given:
             around[name] = None
 
@@ -287,13 +293,13 @@ class _Check:
         name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))
         if rule.transform not in self.given:
             if self._calibration is None:
-                self._blame(
+                self._record_conflict(
                     rule.scale,
                     f"the scene has a {name} view, and nothing says where its pixels are in the {into} view; add "
                     "topography_to_contact = [[a, b, x], [c, d, y]], or use a file of `fingerflow calibrate --target`",
                 )
             else:
-                self._blame(
+                self._record_conflict(
                     rule.key,
                     f"the scene has a {name} view, and this calibration is the scale alone; write one that holds the "
                     f"transform between the views too, with `fingerflow calibrate --target`, or remove [{rule.view}]",
@@ -302,7 +308,7 @@ class _Check:
         for one, view in ((name, from_view), (into, into_view)) if self._calibration is not None else ():
             made_with = self._calibration.views.get(one) if self._calibration is not None else None
             if made_with != view:
-                self._blame(
+                self._record_conflict(
                     rule.key,
                     f"it was made with the {one} view {_ranges(made_with)}, and the scene has {_ranges(view)}: the "
                     "transform holds for the same pixels only. Calibrate with the views of this scene, "
@@ -311,7 +317,7 @@ class _Check:
                 )
 
     def _rectangle(self, key: str) -> tuple[Pixels, Pixels] | None:
-        found = self._at(key)
+        found = self._value_at(key)
         rows, columns = (None, None) if found is None else (found.get("rows"), found.get("columns"))
         return None if rows is None or columns is None else (rows, columns)
 

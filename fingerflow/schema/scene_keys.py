@@ -132,7 +132,7 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """Definition of one key of scene files: type, meaning, default, unit and where the key is needed.
+    """Definition of one key of scene files: type, meaning, default, unit, and the readers that need the key.
 
     Attributes:
         type: its type and range.
@@ -153,8 +153,9 @@ class SceneKey:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """Definition of one table of scene files: keys, meaning and where the table is needed. If left out, it takes its
-    defaults, or is None where a reader needs one of its keys.
+    """Definition of one table of scene files: keys, meaning, and the readers that need the table.
+
+    A table that is left out takes its defaults, or is None if a reader needs one of its keys.
 
     Attributes:
         keys: its settings and tables.

@@ -14,7 +14,7 @@ def quoted_cell(value: Any) -> Any:
 
 
 def plain_cell(value: Any) -> Any:
-    """Return a cell as it was before `quoted_cell`."""
+    """Return a cell without the apostrophe that `quoted_cell` adds."""
     return value[1:] if isinstance(value, str) and value[:1] == "'" and _begins_formula(value[1:]) else value
 
 

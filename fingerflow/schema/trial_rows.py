@@ -11,7 +11,9 @@ NOTHING = ("", "nan", "na")  # a cell without a value
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as dictionaries from column name to text; the heading is row 1.
+    """Return the rows of a CSV file as dictionaries from column name to text.
+
+    Messages count rows from 1, the heading.
 
     Raises:
         FingerflowError: the file cannot be read, it has no rows, columns have no or the same names, or a row has more

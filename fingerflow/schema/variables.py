@@ -370,7 +370,7 @@ STRAIN = (
         shown_in=MICROJOULE,
     ),
     Variable(
-        "strain_energy", FRAME, "mJ", "strain energy of all skin in contact, up to the border",
+        "strain_energy", FRAME, "mJ", "strain energy of the whole contact, up to its border",
         equation="h ⟨∫_contact w dA⟩, the mean over displacement fields that vanish at an advancing border, given the "
         "points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w beside it",
     ),

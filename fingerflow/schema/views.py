@@ -10,7 +10,10 @@ from fingerflow.schema.calibration_file import pixel_range
 
 @dataclass(frozen=True)
 class DrawnEllipse:
-    """Ellipse that a scene file gives as a region, px of the view; `angle` of the first axis is in rad from x to y."""
+    """Ellipse that a scene file gives as a region, in px of the view.
+
+    `angle`, in rad from x towards y, is the direction of the first semi-axis.
+    """
 
     center: tuple[float, float]
     semi_axes: tuple[float, float]
@@ -28,8 +31,9 @@ class Region:
 
 @dataclass(frozen=True)
 class View:
-    """View of the finger: a rectangle of the camera frame, given as half-open ranges of `rows` and `columns`. `region`
-    is a part of it.
+    """View of the finger: a rectangle of the camera frame, given as half-open ranges of `rows` and `columns`.
+
+    `region` is the region of interest of the view.
 
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """

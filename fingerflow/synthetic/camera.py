@@ -12,8 +12,9 @@ from fingerflow.schema.views import View
 
 @dataclass(frozen=True)
 class Camera:
-    """Simulated monochrome camera with shot noise, read noise and defective pixels. All levels are stated for 8 bit and
-    scale with the range of a deeper camera.
+    """Simulated monochrome camera with shot noise, read noise and defective pixels.
+
+    Levels are given for 8 bits, and scale with the range of a camera of more bits.
 
     Args:
         bit_depth: 8 to 16; frames are uint8 for 8 bit and uint16 above.
@@ -53,7 +54,9 @@ class Camera:
         return (light + self.dark) * self.levels
 
     def variance(self, clean: Tensor) -> Tensor:
-        """Return the noise variance of pixels with noise-free levels `clean`, in squared grey levels, unquantised."""
+        """Return the noise variance, squared grey levels, of pixels with noise-free levels `clean`, before
+        quantisation.
+        """
         scale, dark = self.levels, self.dark * self.levels
         at_half = (self.noise * scale) ** 2
         shot = at_half * self.shot_share / (127.5 * scale - dark)

@@ -27,8 +27,7 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """Synthetic press whose skin moves as a skin chain turned about its axis, under a force that rises and is then
-    held.
+    """Synthetic press whose skin moves as a skin chain rotated about its axis; the force rises, then stays constant.
 
     Contact is a disc and displacement is radial; both are those of the chain. While the force is held they persist, and
     disc and skin may shift as a whole. Progress is 1 at the end of the rise and 2 in the last frame. Settings that all
@@ -76,7 +75,9 @@ class ChainPress(SyntheticScene):
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:
-        """Return the chain's displacement and divergence since contact, simulated without images or splines."""
+        """Return the chain's displacement and divergence since contact, directly from the simulation, without
+        splines.
+        """
         return since_onset(self.chain)
 
     def chain_at(self, values: Tensor) -> Array:
@@ -259,12 +260,12 @@ def _evened(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients of values on a grid, extended by one at each mirrored end."""
+    """Return cubic spline coefficients of values on a grid, padded by one mirrored coefficient at each end."""
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
 def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients, and four weights, at a position (0 to 1) on a grid."""
+    """Return the index of the first of four spline coefficients, and their weights, at a position 0 to 1 on a grid."""
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]

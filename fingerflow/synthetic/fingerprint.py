@@ -71,7 +71,7 @@ class FingerprintTexture:
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
 
         Pores and the border of the contact narrow the ridges.
         """

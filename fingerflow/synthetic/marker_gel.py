@@ -21,8 +21,9 @@ _INVERTED = 1e-3  # px, last step of the fixed-point iteration; its error is no 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerGel:
-    """Synthetic gel: a lattice of dark discs on an elastic surface that an object deforms. Lengths in px of the frame,
-    angles in rad.
+    """Synthetic gel: a lattice of dark discs on an elastic surface that an object deforms.
+
+    Lengths are in px of the frame, angles in rad.
 
     Time course, in shares of the recording: at rest until 0.15. Until 0.3 the object presses, which spreads the gel by
     `dilation`. Until 0.6 it drags the gel by `shear`, while its rim slips from 0.45 on. At 0.7 it slips as a whole:
@@ -93,7 +94,7 @@ class MarkerGel:
 
     @property
     def slip_frame(self) -> int:
-        """Return the first frame of gross slip."""
+        """Return the index of the first frame in which the whole contact slips (gross slip)."""
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:

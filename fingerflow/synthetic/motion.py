@@ -92,7 +92,9 @@ class SkinMotion(Protocol):
         """Return the material coordinates (mm) of the skin that lies at positions (x, y) on the glass."""
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        """Return a dimensionless depth in the apparent contact: positive inside, 0 on its edge, negative outside."""
+        """Return a dimensionless depth of positions in the apparent contact: positive inside, 0 on the edge, negative
+        outside.
+        """
 
     def ellipse(self, progress: float) -> Ellipse | None:
         """Return the edge of the apparent contact, or None without contact."""
@@ -162,7 +164,7 @@ class SlideMotion:
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Return the relative radius of the stuck ellipse, whose square is the stuck area share d²."""
+        """Return the radius of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
         return 1 - self._peeling(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
@@ -186,7 +188,7 @@ class SlideMotion:
         return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
-        """Return the relative radius in the contact within which skin has moved by less than `limit` mm since the
+        """Return the relative radius within which the skin in contact has moved by less than `limit` mm since the
         start.
 
         It is 0 where no skin has moved less, and infinite where all has.

@@ -36,7 +36,7 @@ class Lights:
         return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
 
     def stray(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of stray light: the topography view without a finger."""
+        """Return the grey levels of stray light, which the topography view shows without a finger."""
         width, height = self.size
         return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
@@ -50,8 +50,8 @@ class Lights:
 
 
 def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
-    """Return the grey levels of the topography view: skin at material coordinates (x, y) under grazing light, plus
-    stray light.
+    """Return the grey levels of the topography view: the skin at material coordinates (x, y) in grazing and stray
+    light.
 
     The outline of the finger is in material coordinates: like the ridges it moves with the skin.
     """
@@ -60,8 +60,9 @@ def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: T
 
 
 def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
-    """Return the grey levels of the contact view: the bright field darkened by contact. Margins are distances (mm) to
-    the edges of ridge and apparent contact.
+    """Return the grey levels of the contact view: the bright field, darkened where skin touches.
+
+    Margins are distances (mm) to the edges of ridge and apparent contact.
 
     Margins are positive inside. The level half-way between ridge and valley lies on the edge of the real contact.
     """

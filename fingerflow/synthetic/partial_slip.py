@@ -122,7 +122,9 @@ class PartialSlipMotion(SlideMotion):
         return result
 
     def leapt(self, progress: Tensor) -> Tensor:
-        """Return the total length, mm, of the jumps of the contact's rim before full slip."""
+        """Return the total distance, mm, by which the rim of the contact has jumped so far, without jumps after full
+        slip.
+        """
         count = sum(((progress >= at).to(progress.dtype) for at in self.jumps if at < self.full_slip), 0 * progress)
         return self.jump * count
 
@@ -147,7 +149,10 @@ class PartialSlipMotion(SlideMotion):
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
     def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
-        """Return the slip of the skin, mm, relative to the contact."""
+        """Return the slip, mm, of skin at a relative `radius`, for a stick region of relative radius `stuck`.
+
+        `leapt` is the total length of the jumps, mm.
+        """
         crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
         return crept + leapt * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 

@@ -33,7 +33,10 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """Orientation field of a ridge pattern; wave numbers are multiples of `step` (rad/mm), or arbitrary if it is 0."""
+    """Orientation field of a ridge pattern, as a formula of position.
+
+    Wave numbers are multiples of `step` (rad/mm), or arbitrary if `step` is 0.
+    """
 
     levels: Levels
     step: float

@@ -173,7 +173,7 @@ class SyntheticScene:
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
-        """Return a noise-free frame with both views at a progress of the movement; without a finger for None."""
+        """Return a noise-free frame that shows both views at a progress of the movement; without a finger for None."""
         topography_planes, contact_planes = _fixed_planes(self, dtype)
         views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
         return self.camera.expose(torch.cat(views, dim=1)).numpy()

@@ -21,7 +21,7 @@ class Skin(Protocol):
         """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
 
         The sign is exact, the distance is exact to first order.
 

@@ -94,7 +94,7 @@ class PictureTexture:
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, from the edge of a touching ridge, positive inside; ``share`` is ignored."""
+        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside; ``share`` is ignored."""
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
@@ -126,7 +126,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
             f"{picture} shows {texture.size[0]:.1f} x {texture.size[1]:.1f} mm at {dpi:g} dpi, and the contact needs "
             f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
         )
-    middle = _middle(texture)
+    middle = _contact_centroid(texture)
     right, down = np.clip(-middle, high - half, low + half).tolist()
     return replace(plain, texture=replace(texture, centre=(right, down)))
 
@@ -137,7 +137,7 @@ def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
     return np.zeros((0, 2)) if ellipse is None else scene.truth.material(ellipse.edge(64), frame)
 
 
-def _middle(texture: PictureTexture) -> Plane:
+def _contact_centroid(texture: PictureTexture) -> Plane:
     """Return the centre (x, y) in mm of the touching ridges, relative to the centre of the image."""
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
@@ -173,18 +173,18 @@ def _levels(picture: Path, dpi: float) -> Levels:
     # A sine's amplitude is 1.4 times its standard deviation; the added constant attenuates noise in blank parts.
     full = np.quantile(spread, 0.8)
     skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
-    skin *= _fading(plane.shape[0], period)[:, None] * _fading(plane.shape[1], period)
+    skin *= _edge_weights(plane.shape[0], period)[:, None] * _edge_weights(plane.shape[1], period)
     return Levels(_coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape)
 
 
-def _fading(count: int, period: float) -> Plane:
-    """Return weights for a row of pixels, rising from 0 at both ends to 1 within one ridge distance."""
+def _edge_weights(count: int, period: float) -> Plane:
+    """Return weights (count,) for a row of pixels, which rise from 0 at both ends to 1 within one ridge distance."""
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return at each pixel the brightest grey level within one ridge distance: that of glass or of a valley."""
+    """Return for each pixel the brightest grey level within one ridge distance, which shows glass or a valley."""
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 

@@ -57,7 +57,7 @@ class RidgeTexture:
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, from the edge of a touching ridge, positive inside.
+        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
 
         An equal share of every ridge touches.
         """

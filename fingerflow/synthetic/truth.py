@@ -93,7 +93,7 @@ class Truth:
         return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
-        """Return the topography pixels, in frame `to_frame`, of skin at given pixels in frame `from_frame`."""
+        """Return the topography pixels (..., 2) in frame `to_frame` of skin at given pixels in frame `from_frame`."""
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
@@ -165,7 +165,8 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the gradient (..., 2, 2) of the skin's displacement since the given point came into contact.
+        """Return the gradient (..., 2, 2) of skin displacement around material points, since the point came into
+        contact.
 
         It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
         onset.
@@ -236,7 +237,7 @@ class Truth:
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
-        """Return the displacement gradient since a state of deformation gradient ``begun``; NaN before onset."""
+        """Return the displacement gradient since a state with the deformation gradient ``begun``; NaN before onset."""
         gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
@@ -246,7 +247,9 @@ class Truth:
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return deformation gradient F (..., 2, 2) and skin velocity by progress (..., 2) at positions (..., 2)."""
+        """Return the deformation gradient (..., 2, 2) of skin at positions (..., 2), and its velocity by progress (...,
+        2).
+        """
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self.motion.material(positions[..., 0], positions[..., 1], progress)
@@ -256,7 +259,7 @@ class Truth:
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return derivatives of the dimensionless contact depth by position (..., 2) and by progress (...)."""
+        """Return the derivatives of contact depth (dimensionless) by position (..., 2) and by progress (...)."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)

@@ -78,7 +78,7 @@ def write_recording(folder: Path, scene: SyntheticScene, progress: bool = True) 
 
 
 def rebuild_scene(folder: Path) -> SyntheticScene:
-    """Return the scene that `write_recording` wrote into a folder, frame for frame, with its truth.
+    """Return the scene that `write_recording` wrote into a folder; it has the same frames and ground truth.
 
     Raises FingerflowError if truth.json is missing or does not describe a scene.
     """
@@ -138,13 +138,13 @@ def _scene_file(scene: SyntheticScene) -> str:
         topography=scene.views["topography"],
         forces="forces.csv",
         calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
-        region=_region(scene),
+        region=_region_of_skin(scene),
         slip=isinstance(scene, PartialSlip),
     )
 
 
-def _region(scene: SyntheticScene) -> View | None:
-    """Return the rectangle of the topography view that holds, in frame 0, all skin that later touches."""
+def _region_of_skin(scene: SyntheticScene) -> View | None:
+    """Return the rectangle of the topography view that contains, in frame 0, all skin that touches the glass later."""
     truth, edges = scene.truth, []
     for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
@@ -159,7 +159,7 @@ def _region(scene: SyntheticScene) -> View | None:
 
 
 def _truth_file(scene: SyntheticScene, folder: Path) -> str:
-    """Return the settings of a scene as JSON; an image file among them is copied into the folder of the recording."""
+    """Return the settings of a scene as JSON text, and copy an image file named in them to the recording's folder."""
 
     def settings(part: Any) -> dict[str, Any]:
         if isinstance(part, Path):

@@ -130,7 +130,7 @@ def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch
     skin_implicit.advance(chain, first, mu, held_load(3.0), 0.2, 1e-9, 0.0)
     load = skin_implicit.Load(np.array([0.0, -3.0]), np.array([0.02, -2.95]), np.zeros(2, dtype=bool))
     monkeypatch.setattr(skin_implicit, "NEWTON", 1e-15)  # of a tolerance of 1 m
-    monkeypatch.setattr(skin_implicit, "_growth", lambda error: 1.0)
+    monkeypatch.setattr(skin_implicit, "_step_factor", lambda error: 1.0)
 
     def end(count: int) -> np.ndarray:
         state = replace(first, step=0.02 / count)

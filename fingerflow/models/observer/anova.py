@@ -13,7 +13,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Anova:
-    """Result of an analysis of variance: F, degrees of freedom, p, effect size eta^2, trials per group.
+    """Result of an analysis of variance: F statistic, degrees of freedom, p-value, effect size eta^2, trials per group.
 
     eta^2 is the share of the variance that lies between groups.
 

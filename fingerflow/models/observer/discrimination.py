@@ -20,7 +20,10 @@ def d_prime(
     resamples: int = 2000,
     seed: int = 0,
 ) -> Estimate:
-    """Estimate the sensitivity d' = (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
+    """Estimate the sensitivity d': the difference in mean metric of correct and incorrect trials, in standard
+    deviations.
+
+    d' = (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
 
     d' is negative where correct trials have the smaller metric, as the area under the ROC is then below 1/2. Means and
     variances (with n - 1) are those of the trials; the paper takes both from Gaussians fitted to a histogram
@@ -144,7 +147,10 @@ def _estimate(
     resamples: int,
     seed: int,
 ) -> Estimate:
-    """Estimate a statistic and its interval from one or two classes of trials, each with at least ``fewest``."""
+    """Estimate a statistic and its interval from one or two classes of trials.
+
+    The value is NaN if a class has fewer than ``fewest`` trials.
+    """
     values, samples, missing = samples_of(kinds, participants)
     value, interval = math.nan, UNKNOWN
     if min(samples.sizes) < fewest:
@@ -167,7 +173,10 @@ def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return a quantile of each of R bootstrap resamples (R,); `weights` say how often a resample holds each value."""
+    """Return the quantile at `share` of each of R bootstrap resamples (R,).
+
+    `weights` (R, N) count how often a resample contains each of the N values.
+    """
     order = np.argsort(values, kind="stable")
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)

@@ -12,7 +12,9 @@ from fingerflow.models.observer.jackknife import jackknifed
 
 @dataclass(frozen=True)
 class MixedModel:
-    """Result of `mixed_model`: change of the answer's probability per unit of the metric, interval and two-sided p.
+    """Result of `mixed_model`: change of the answer's probability per unit of the metric, with interval and p-value.
+
+    The p-value is two-sided.
 
     `trials` of `participants` were used; `missing` have no metric, or are alone in their participant and condition.
     """

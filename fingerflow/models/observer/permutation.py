@@ -15,7 +15,7 @@ _AT_ONCE = 4_000_000  # labels in memory
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """Result of `permutation_test`: area under the ROC `auc`, two-sided `p`, numbers of trials used and missing."""
+    """Result of `permutation_test`: area under the ROC, two-sided p-value, and numbers of trials used and missing."""
 
     p: float
     auc: float

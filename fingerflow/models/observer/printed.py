@@ -16,7 +16,7 @@ _STEP = 0.001  # of the criterion
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Gaussian fitted to a histogram: `amplitude` in trials per bin, `mean`, `deviation`; NaN where none fits."""
+    """Gaussian fitted to a histogram: `amplitude` in trials per bin, `mean` and `deviation`; NaN if the fit failed."""
 
     amplitude: float
     mean: float

@@ -34,7 +34,7 @@ _LOGIT = 15.0  # rates of 1e-7
 
 @dataclass(frozen=True)
 class PsychometricFit:
-    """Fitted psychometric curve with intervals (`fit_psychometric`); NaN where the data do not determine a number.
+    """Psychometric curve fitted by `fit_psychometric`, with intervals; NaN for parameters that the data leave open.
 
     Attributes:
         threshold: the stimulus at which the share of answers is `share`; its `interval` at `level` contains it, and a
@@ -164,14 +164,14 @@ class _Posterior:
         if not guess < self.share < 1 - lapse:
             return 1e10
         prior = _log_beta(lapse, *_RATE_PRIOR) + (_log_beta(guess, *_RATE_PRIOR) if self.fixed is None else 0.0)
-        return -float(logsumexp(self._over_spreads(values)) + prior)
+        return -float(logsumexp(self._log_likelihoods(values)) + prior)
 
     def overdispersion(self, values: Values) -> float:
         """Return the posterior mean of the overdispersion for given parameters of the curve."""
-        log = self._over_spreads(values)
+        log = self._log_likelihoods(values)
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
-    def _over_spreads(self, values: Values) -> Values:
+    def _log_likelihoods(self, values: Values) -> Values:
         """Return the log likelihood of the answers at each overdispersion of the grid `_SPREADS`."""
         expected = self._expected(values)
         # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
@@ -196,7 +196,7 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return start parameters with various slopes, and either a common middle or a common threshold."""
+        """Return start parameters for a fit, with several slopes, and either one middle or one threshold for all."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -207,7 +207,7 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Return the threshold fitted to some blocks of answers, in data units, by a search from given parameters."""
+        """Return the threshold, in data units, fitted to the `chosen` blocks of answers, with a search from `near`."""
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]

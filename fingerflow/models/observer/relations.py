@@ -17,7 +17,9 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correlation:
-    """Correlation coefficient with interval and two-sided p; `trials` pairs were used, `missing` pairs lack a value.
+    """Correlation coefficient of pairs of values, with interval and two-sided p-value.
+
+    `trials` pairs were used; `missing` pairs lack a value.
 
     `participants` is 0 where pairs count as independent.
     """
@@ -95,13 +97,16 @@ def _correlation(
         return Correlation(value, interval, float(found.pvalue), level, pairs, missing)
     who = np.asarray(participants).reshape(-1)[both]
     names = np.unique(who)
-    without = [_of_the_rest(x, y, who != name, kind) for name in names]
+    without = [_fisher_z_without_one(x, y, who != name, kind) for name in names]
     (low, high), p, reason = jackknifed(middle, without, level)
     return Correlation(value, (math.tanh(low), math.tanh(high)), p, level, pairs, missing, reason, len(without))
 
 
-def _of_the_rest(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
-    """Return Fisher's z of the correlation without the pairs of one participant; NaN if it is undefined."""
+def _fisher_z_without_one(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
+    """Return Fisher's z of the correlation of the pairs in the mask `rest`, which leaves out one participant.
+
+    It is NaN if the correlation is undefined.
+    """
     if rest.sum() < 2 or min(np.ptp(x[rest]), np.ptp(y[rest])) == 0:
         return math.nan
     return _fisher(float(kind(x[rest], y[rest]).statistic))

@@ -21,7 +21,10 @@ class ObserverSettings(TypedDict):
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """Ideal-observer statistics of one metric, with intervals by participant, and as published (`printed`)."""
+    """Ideal-observer statistics of one metric, with confidence intervals.
+
+    `printed` has the statistics computed as in the paper.
+    """
 
     d_prime: Estimate
     auc: Estimate
@@ -38,7 +41,7 @@ def observe(
     resamples: int = 2000,
     seed: int = 0,
 ) -> dict[str, MetricSummary]:
-    """Compute the ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
+    """Compute how well each metric separates correct from incorrect trials (ideal observer, Willemet et al. 2021).
 
     Args:
         trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.

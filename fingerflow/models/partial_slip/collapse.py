@@ -1,4 +1,4 @@
-"""Time of collapse of the stuck area, found as a change point: the area stops following the load ratio T/N."""
+"""Find when the stuck area collapses: a change point, after which the area no longer follows the load ratio T/N."""
 
 import math
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Collapse:
 
 
 def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collapse | None:
-    """Fit a change point to the stuck area share d^2: before it d^2 follows the load, after it d^2 falls to 0.
+    """Fit the time at which the stuck area share d^2 collapses: d^2 follows the load before, and falls to 0 afterwards.
 
     With H the largest T/N so far, t_c the change point and D the duration of the collapse,
 
@@ -132,12 +132,12 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
 
 def _shape(relative: Values) -> Values:
-    """Return the shape (G, E, F) of d^2 before a collapse, at relative loads (G, 1, F), for E curvatures."""
+    """Return unscaled curves (G, E, F) of d^2 before a collapse, for G load histories (G, 1, F) and E curvatures."""
     return np.asarray(np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS))
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:
-    """Fit `values` (F,) by two functions with non-negative coefficients; return the first and residuals (G, E, F)."""
+    """Fit `values` (F,) by two functions with coefficients >= 0; return the first of these and residuals (G, E, F)."""
     aa, ab, bb = (first**2).sum(-1), (first * second).sum(-1), (second**2).sum(-1)
     av, bv = first @ values, second @ values
     determinant = aa * bb - ab**2

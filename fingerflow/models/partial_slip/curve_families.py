@@ -17,7 +17,7 @@ Functions = Callable[[Values], Values]
 
 @dataclass(frozen=True)
 class CurveFamily:
-    """Model curve of the load ratio T/N as a function of the stuck area share d^2, with its two derivatives.
+    """Model curve of the load ratio T/N as a function of the stuck area share d^2, with first and second derivative.
 
     Each function returns one term for each of P friction coefficients.
     """

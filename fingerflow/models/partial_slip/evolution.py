@@ -35,7 +35,7 @@ def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the stuck area share d^2 of a contact at a load ratio T/N: equation 5 on the branch that loading follows.
+    """Return the stuck area share d^2 at a load ratio T/N under rising load (equation 5 of Terekhov & Hayward 2011).
 
     With mu_s = mu_k = mu it is (1 - T/(mu N))^(1/2). The paper prints 1 - T/(mu_k N), but with equal coefficients the
     term in d^2 drops out of equation 5, not the one in d^4.

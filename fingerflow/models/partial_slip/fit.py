@@ -164,14 +164,14 @@ def fit_family(
 
 
 def student_weights(squared: Values, weights: Values) -> Values:
-    """Return robust weights (R, F) of frames under Student's t, its scale estimated from the squared residuals."""
+    """Return robust weights (R, F) of frames by Student's t-distribution, scaled to the squared residuals."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
     result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
     return result
 
 
 def student_scale(squared: Values) -> float:
-    """Return the squared scale of Student's t that maximises the likelihood of squared residuals (F,)."""
+    """Return the squared scale of the Student's t-distribution most likely for squared residuals (F,)."""
     scale = float(np.median(squared)) or float(squared.mean())
     for _ in range(4 * _ROUNDS):
         weights = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / max(scale, 1e-300))
@@ -180,7 +180,7 @@ def student_scale(squared: Values) -> float:
 
 
 def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
-    """Return d^2 and T/N of frames in which the stuck area shrinks, their noise, and a reason if there are too few.
+    """Return d^2 and T/N of the frames in which the stuck area shrinks, the noise of both, and a reason if too few.
 
     Raises:
         ValueError: the two differ in length.
@@ -199,8 +199,9 @@ def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values
 
 
 def frame_noise(values: Values) -> float:
-    """Return the standard deviation of white noise in a series, by second differences, which slow changes do not
-    affect. Values that are not finite are left out.
+    """Return the standard deviation of white noise in a series, from second differences, which ignore slow changes.
+
+    Values that are not finite are left out.
     """
     second = np.diff(values[np.isfinite(values)], 2)
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
@@ -229,7 +230,7 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 
 def _derived(coefficients: Values) -> Values:
-    """Return mu_s, mu_k, their ratio and the critical stuck area for R sets of coefficients, as (R, 4)."""
+    """Return mu_s, mu_k, mu_k / mu_s and the critical stuck area share (R, 4) for R sets of fitted coefficients."""
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
     # Resamples without a critical area count as 0: NaN would drop them from its interval.

@@ -87,7 +87,10 @@ def window_places(half_window: float) -> Values:
 
 
 def seen_ramp(distance: Values, half_window: float) -> Values:
-    """Return window means of a displacement max(x, 0) beyond a border, at distances x mm from it (negative inside)."""
+    """Return the mean over windows, at distances in mm from a border, of a displacement of max(x, 0) at x mm beyond it.
+
+    A distance is negative on the side that sticks.
+    """
     places = window_places(half_window)
     at = np.linspace(-2 * half_window, 2 * half_window, 400)
     means = np.maximum(at[:, None] + places, 0).mean(1)
@@ -95,7 +98,7 @@ def seen_ramp(distance: Values, half_window: float) -> Values:
 
 
 def border_level(width: Values, fit: BorderFit, seen: Seen) -> Values:
-    """Return the displacement, mm (K,), that is measured at a stick border if the slipping annulus is (K,) mm wide."""
+    """Return the displacement (K,), mm, measured at a stick border inside a slipping annulus (K,) mm wide."""
     return np.asarray(fit.shown(np.zeros(1), seen) - fit.shown(-np.maximum(width, 0), seen))
 
 

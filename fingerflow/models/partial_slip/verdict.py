@@ -35,7 +35,7 @@ _LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fadi
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Verdict on a trial by `judge_trial`, with all numbers that led to it; NaN or -1 if not computable.
+    """Verdict of `judge_trial` on a trial, and the quantities that it follows from; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
@@ -95,7 +95,7 @@ class TrialVerdict:
 def judge_trial(
     stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, area_std: ArrayLike | None = None
 ) -> TrialVerdict:
-    """Decide by three rules whether the stuck area of a trial vanishes abruptly, from a minimal adhesion area.
+    """Decide by three rules whether the stuck area of a trial shrinks to a minimal area and then vanishes abruptly.
 
     `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
     collapses. The area vanishes abruptly if this d^2 exceeds 0.05 and its standard deviation, and if a collapse
@@ -259,7 +259,7 @@ def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
-    """Return the frame from which on d^2 stays 0, with the fewest exceptions; None if d^2 never is 0."""
+    """Return the frame from which on d^2 stays 0 with the fewest exceptions; None if d^2 is never 0."""
     known = np.flatnonzero(np.isfinite(area))
     above = area[known] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)

@@ -108,7 +108,7 @@ class Stage:
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """Return, as a JSON value, what the results of the stage depend on in the plan, besides settings."""
+        """Return, as a JSON value, all parts of the plan besides settings that affect the results of the stage."""
         return None
 
     @property
@@ -129,7 +129,7 @@ class Stage:
         """Compute the results that need all frames, and add warnings, after the last batch."""
 
     def restore(self, earlier: xr.Dataset) -> None:
-        """Copy the results of the stage from an earlier result, in place of begin, step, finish and derive."""
+        """Copy the results of the stage from an earlier result, instead of computing them by `begin` to `derive`."""
         for variable in self.gives:
             if variable.name in earlier and (variable.unasked or variable.name in self.trial.asked):
                 values = earlier[variable.name]

@@ -113,7 +113,9 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Resample values (k, n) at `times` (n,) to frame times `wanted` (m,); NaN outside the samples and in gaps."""
+        """Resample values (k, n) at `times` (n,) to the frame times `wanted` (m,), as (k, m); NaN outside the record
+        and in gaps.
+        """
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate

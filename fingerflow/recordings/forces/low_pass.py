@@ -45,11 +45,11 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
     interior = (wanted - half_width >= times[0]) & (wanted + half_width <= times[-1])
     width = int(np.max(last - first, initial=1))
     begin = np.minimum(first, len(times) - width)  # rows of equal length; unused samples have weight 0
-    groups = _alike(times, wanted, first, last, interior)
+    groups = _group_frames(times, wanted, first, last, interior)
     rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff in the middle of the transition band
     middle = (times[0] + times[-1]) / 2  # keeps angles and their rounding errors small
     angles = rate * (times - middle)
-    of_samples = np.stack((times, np.sin(angles), np.cos(angles), _stretches(times)))
+    of_samples = np.stack((times, np.sin(angles), np.cos(angles), _sample_durations(times)))
     around_frames = sliding_window_view(of_samples, width, axis=1)
     rows = sliding_window_view(values, width, axis=1)
     result = np.empty((len(values), len(wanted)))
@@ -63,7 +63,7 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
         window *= (place >= first[one, None]) & (place < last[one, None])
         # sin(a - b) from one sine and cosine for each sample and frame instead of one for each pair.
         angle = rate * (wanted[one, None] - middle)
-        sinc = _over_angle(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
+        sinc = _sinc(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
         weights = _exact_moments(sinc * window * stretches, window, offset, interior[one])
         for frames, own in zip(some, weights, strict=True):
             for part in range(0, len(frames), _FRAMES_AT_ONCE):
@@ -72,11 +72,10 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
     return result
 
 
-def _alike(
+def _group_frames(
     times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Group frames that can share one filter kernel, because the sample times relative to each frame are equal
-    (polyphase).
+    """Group frames that can share one filter kernel, as their sample times relative to the frame are equal (polyphase).
 
     At 10 kHz and 300 frames/s there are three such groups, and some single frames near the ends.
     """
@@ -96,8 +95,8 @@ def _alike(
     return alone + np.split(frames[order], np.flatnonzero(new) + 1)
 
 
-def _stretches(times: Samples) -> Samples:
-    """Return the stretch of time in s that each sample represents, between the midpoints to the neighbouring samples.
+def _sample_durations(times: Samples) -> Samples:
+    """Return the duration in s that each sample represents, from midpoint to midpoint between neighbouring samples.
 
     A gap ends the record as its ends do, so no sample represents more than twice the median step.
     """
@@ -126,8 +125,8 @@ def _window_polynomial() -> Samples:
 _WINDOW = _window_polynomial()
 
 
-def _over_angle(sine: Samples, angle: Samples) -> Samples:
-    """Return sin(x) / x (sinc), given `sine` and `angle` x, with accurate values also near x = 0."""
+def _sinc(sine: Samples, angle: Samples) -> Samples:
+    """Return sin(x) / x, given `sine` = sin(x) and `angle` = x; it is accurate also near x = 0."""
     near = np.abs(angle) < _NEAR
     quotient = sine / np.where(near, 1.0, angle)
     quotient[near] = np.sinc(angle[near] / np.pi)

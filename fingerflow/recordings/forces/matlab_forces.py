@@ -10,7 +10,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.force_table import ForceTable
-from fingerflow.recordings.guard.child_process import read_matlab_apart
+from fingerflow.recordings.guard.child_process import read_matlab_in_child_process
 from fingerflow.recordings.guard.file_checks import reading
 
 RATE_NAMES = ("sample_rate", "fs")
@@ -30,7 +30,7 @@ def read_table(path: Path) -> ForceTable:
         ) from None
     table = ForceTable(path, {})
     with reading(path, "a MATLAB file"):
-        _take(table, read_matlab_apart(path), "")
+        _take(table, read_matlab_in_child_process(path), "")
     return table
 
 

@@ -72,7 +72,7 @@ def open_forces(
     table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
     time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
     times, time_column = _times(table, time, sample_rate)
-    wanted = _wanted(table, channels, time_column)
+    wanted = _selected_columns(table, channels, time_column)
     if trigger is not None and trigger not in wanted.values():
         wanted[trigger] = trigger
     if not wanted:
@@ -102,7 +102,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
         if not (math.isfinite(sample_rate) and sample_rate > 0):
             raise FingerflowError(f"{table.path}: sample_rate={sample_rate} is not a positive number of Hz")
-        _contradicted(table, sample_rate)
+        _check_sample_rate(table, sample_rate)
         return np.empty(0), None
     if time is None:
         candidates = [name for name in table.columns if _is_time(name)]
@@ -130,7 +130,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
     return times, time
 
 
-def _contradicted(table: ForceTable, sample_rate: float) -> None:
+def _check_sample_rate(table: ForceTable, sample_rate: float) -> None:
     """Raise FingerflowError if a time column of the file contradicts the given `sample_rate`."""
     for name in filter(_is_time, table.columns):
         unit = table.units.get(name, "s")
@@ -149,10 +149,10 @@ def _rate(times: NDArray[np.float64]) -> float | None:
     return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
 
-def _wanted(
+def _selected_columns(
     table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
-    """Return a mapping from the name of each selected channel to the name of a file column.
+    """Return the file column of each selected force channel, as a mapping from channel name to column name.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """

@@ -78,7 +78,7 @@ def _of_labview(path: Path, text: str) -> Content:
 
 
 def is_read(line: str) -> bool:
-    """Return whether a line of text is read as heading or data: True unless it is blank or a comment."""
+    """Return whether a line of text is a heading or data, that is, neither blank nor a comment."""
     begun = line.lstrip()
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 

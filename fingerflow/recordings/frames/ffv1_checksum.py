@@ -1,5 +1,6 @@
-"""Verification of FFV1 video packets by the checksums in the packets. FFmpeg detects a wrong one, but fills the slice
-with old pixels and only logs it.
+"""Verification of FFV1 video packets by the checksums in the packets.
+
+FFmpeg detects a wrong checksum, but only logs it and fills the slice with old pixels.
 
 Source: RFC 9043, sections 4.4 (slices and their footers) and 4.9.3 (slice_crc_parity): a packet is a row of slices,
 each with a footer of its size in 3 bytes, a byte of status and a CRC that makes the CRC of the whole slice 0. The

@@ -13,7 +13,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import number_attribute, open_hdf5, stored_whole
+from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
@@ -49,12 +49,12 @@ def _frame(frames: h5py.Dataset, index: int) -> Frames:
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
     frames = _chosen(path, file, dataset)
-    stored_whole(frames, path)
+    check_stored_size(frames, path)
     rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
     dtype = grey_dtype(frames.dtype, path)
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
-    lacking = _lacking(path, frames)
+    lacking = _incomplete_frames(path, frames)
     count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last complete frame
     description = Description(
         path=path,
@@ -94,8 +94,11 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     )
 
 
-def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return a mask of frames for which the file lacks a chunk; file and data set must have been checked before."""
+def _incomplete_frames(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Return a mask of the frames of which the file lacks a chunk.
+
+    File and data set must have been checked before.
+    """
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

@@ -64,7 +64,9 @@ def _image_at(files: Sequence[Path | None], first: Description, index: int) -> F
 
 
 def _read_image(path: Path) -> Frames:
-    """Return one grey image file as an array (H, W). Grey stored as three equal channels is accepted without loss.
+    """Return one grey image file as an array (H, W).
+
+    Grey stored as three equal channels is accepted without loss.
 
     Raises DamagedFrame where it cannot be decoded, FingerflowError for colour.
     """

@@ -86,13 +86,17 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """Return the codec if it predicts frames from others, which makes standard deviations invalid; else None."""
+        """Return the name of the recording's codec if it predicts frames from other frames, else None.
+
+        Standard deviations are invalid in such a recording.
+        """
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
-        """Return a mapping from the index of each damaged frame to a reason that continues the words "frame 12".
+        """Return, by frame index, the reason why a damaged frame cannot be read; the text continues the words "frame
+        12".
 
         Such a frame is read as NaN, or as 0 for integer pixels; no result may be computed from it. Damage that no
         header states (videos, compressed pages) is known only after the frame was read, so check this again after
@@ -102,7 +106,7 @@ class Recording(ABC):
     @property
     @abstractmethod
     def doubtful(self) -> Mapping[int, str]:
-        """Return a mapping from the index of each frame that may be wrongly decoded to the decoder's error message.
+        """Return, by frame index, the decoder's error message for each frame that may be decoded wrongly.
 
         Some are right, and some hold wrong pixels. Known after the frame was read, as `unreadable` is.
         """
@@ -158,7 +162,7 @@ class Recording(ABC):
         return frames
 
     def mapped(self) -> Frames:
-        """Return all frames as one read-only array (N, H, W).
+        """Return all frames as one read-only array (N, H, W), as a memory map where the file format allows it.
 
         It is the file's memory map, without a copy, if the stored pixels need no decoding; else the frames are read.
         """
@@ -283,7 +287,7 @@ class FileRecording(Recording):
 
 
 class _View(Recording):
-    """Recording of selected frames of a file, in any order."""
+    """Recording that consists of selected frames of another recording, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
         super().__init__(file)
@@ -334,7 +338,10 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of steps between successive indices. For a few indices a Python loop is faster than NumPy."""
+    """Return the set of steps between successive indices.
+
+    For a few indices a Python loop is faster than NumPy.
+    """
     if isinstance(indices, range):
         return {indices.step} if len(indices) > 1 else set()
     return {after - before for before, after in pairwise(indices)}
@@ -359,7 +366,9 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
 
 
 def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
-    """Return a warning if `left` bytes after the last of `count` frames could hold further frames; else nothing."""
+    """Return a warning, in a tuple, if `left` bytes after the last of `count` frames could hold further frames; else
+    ().
+    """
     more = left // frame_bytes
     said = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
     return (f"{said}: copy it again, or correct the header",) if more > 0 else ()

@@ -93,7 +93,7 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
 def _describe(
     path: Path, file: tifffile.TiffFile, headers: set[int], complaints: list[str]
 ) -> tuple[Description, Sequence[Any] | Frames]:
-    """Return the header of a TIFF stack, and either a memory map of all frames or the pages, to be decoded singly."""
+    """Return the metadata of a TIFF stack, and its frames as a memory map or as pages that must be decoded singly."""
     series: Any = file.series
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
@@ -185,7 +185,7 @@ def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Return the reason why the pixels of a page cannot be read, judged by the page header; "" if none is found."""
+    """Return why the pixels of a page cannot be read, as far as its header shows; "" if no damage is found."""
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))

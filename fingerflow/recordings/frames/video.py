@@ -125,7 +125,7 @@ class VideoRecording(FileRecording):
             return
         self._start_at(0)  # if seeking misses the key frame, decode from the start
         if not self._run_to(wanted):
-            self._damaged(wanted, "gives no picture")
+            self._mark_damaged(wanted, "gives no picture")
 
     def _run_to(self, wanted: int) -> bool:
         for number, frame in self._decoded:
@@ -133,9 +133,11 @@ class VideoRecording(FileRecording):
                 return False
             self._next = number + 1
             if frame.is_corrupt:
-                self._damaged(number, "is marked as corrupt by the decoder")
+                self._mark_damaged(number, "is marked as corrupt by the decoder")
             if not self._pixels.fit(frame):
-                self._damaged(number, f"is {frame.height} x {frame.width} {frame.format.name}, not as the header says")
+                self._mark_damaged(
+                    number, f"is {frame.height} x {frame.width} {frame.format.name}, not as the header says"
+                )
             if number not in self.unreadable:
                 self._cache[number] = self._pixels.of(frame, self.path, number)
             while len(self._cache) > self._cached_at_most:
@@ -144,15 +146,15 @@ class VideoRecording(FileRecording):
                 return True
         return False
 
-    def _damaged(self, number: int, reason: str) -> None:
-        """Mark a frame as unreadable, and all frames that may be decoded from it."""
+    def _mark_damaged(self, number: int, reason: str) -> None:
+        """Mark a frame as unreadable, and with it all frames that may be decoded from this frame."""
         self._unreadable.setdefault(number, reason)
-        for other in self._made_from(number):
+        for other in self._dependent_frames(number):
             self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
             self._cache.pop(other, None)
 
-    def _made_from(self, number: int) -> range:
-        """Return the frames that may be decoded from a given frame: all undelivered ones up to the next key frame.
+    def _dependent_frames(self, number: int) -> range:
+        """Return the frames that may depend on a given frame: those not yet delivered, up to the next key frame.
 
         Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
         """
@@ -172,7 +174,9 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Yield (number, decoded frame) from key frame `key` on, without frames that are shown before frame `key`."""
+        """Yield number and image of each decoded frame from key frame `key` on, without frames that are shown before
+        it.
+        """
         count = 0
         packets = self._container.demux(stream)
         while True:
@@ -184,10 +188,10 @@ class VideoRecording(FileRecording):
                         return
                     number = self._index.numbers.get(packet.pts)
                     if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
-                        self._damaged(number, "has a wrong checksum")
+                        self._mark_damaged(number, "has a wrong checksum")
                     frames = packet.decode()
                 if errors and number is not None and number >= key:
-                    for one in (number, *self._made_from(number)):
+                    for one in (number, *self._dependent_frames(number)):
                         self._doubtful.setdefault(one, errors[0])
             except (av.FFmpegError, ValueError, MemoryError) as error:
                 if self._index.stamps is None:
@@ -198,7 +202,7 @@ class VideoRecording(FileRecording):
                 if number is None:  # not an error of one packet: the rest of the file cannot be read
                     return
                 if number >= key:
-                    self._damaged(number, f"cannot be decoded ({first_line(error)})")
+                    self._mark_damaged(number, f"cannot be decoded ({first_line(error)})")
                 continue
             for frame in frames:
                 of_frame = self._index.numbers.get(frame.pts) if self._index.stamps is not None else count
@@ -286,7 +290,10 @@ def _has_checksums(path: Path) -> bool:
 
 
 def _lossy(codec: Any) -> str | None:
-    """Return the name of a video codec if lossy, else None. Lossless H.264 is recognised by its profile."""
+    """Return the name of a video codec if the codec is lossy, else None.
+
+    Lossless H.264 is recognised by its profile.
+    """
     if codec.codec.lossless and not codec.codec.lossy:
         return None
     lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)

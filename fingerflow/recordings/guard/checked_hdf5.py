@@ -39,7 +39,7 @@ def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> 
     return float(value.item())
 
 
-def stored_whole(values: h5py.Dataset, path: Path) -> None:
+def check_stored_size(values: h5py.Dataset, path: Path) -> None:
     """Check that a file is large enough for all values that an HDF5 data set claims, before memory is allocated.
 
     Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are
@@ -68,7 +68,7 @@ def stored_whole(values: h5py.Dataset, path: Path) -> None:
 
 def read_whole(values: h5py.Dataset, path: Path) -> np.ndarray[Any, Any]:
     """Return all values of an HDF5 data set; raise FingerflowError if a chunk of the data set was never written."""
-    stored_whole(values, path)
+    check_stored_size(values, path)
     if values.chunks is not None and not values.is_virtual:
         for at in product(*(range(0, length, step) for length, step in zip(values.shape, values.chunks, strict=True))):
             try:

@@ -36,8 +36,8 @@ def check_in_child_process(path: Path, kind: str) -> None:
     _answer_about(path, kind)
 
 
-def read_matlab_apart(path: Path) -> dict[str, Any]:
-    """Return the content of a MATLAB file, which is read in a child process.
+def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
+    """Read a MATLAB file in a child process, and return the content.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
@@ -71,7 +71,10 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process read a file; return the content, or an error text that is "" for a sound file."""
+        """Let the child process read a file; return an error text, which is "" for a sound file.
+
+        Of a sound MATLAB file the content is returned instead.
+        """
         with self._lock:
             process = self._running()
             if process is None:

@@ -33,11 +33,11 @@ def main() -> None:
         through, libraries = READERS[kind]
         for library in libraries:
             importlib.import_module(library)  # before the limit is set: their memory depends on the number of CPUs
-        print(json.dumps(_walk(path, through)), flush=True)
+        print(json.dumps(_run_with_limits(path, through)), flush=True)
 
 
-def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """Read a file by `through` with limits of time and memory; return the content, or an error text ("" if sound)."""
+def _run_with_limits(path: str, through: Callable[[str], Any]) -> Any:
+    """Run the reader `through` on a file with limits of time and memory; return its result, or an error text."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)

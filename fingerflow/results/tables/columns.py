@@ -20,9 +20,9 @@ class Table(NamedTuple):
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return a table with one row per frame: frame number, time, and every variable that has one value per frame."""
-    columns = {"frame": result["frame"].values, **_of(result["time"])}
-    for values in _chosen(result, variables, ("frame",)):
-        columns |= _of(values)
+    columns = {"frame": result["frame"].values, **_columns_of(result["time"])}
+    for values in _select(result, variables, ("frame",)):
+        columns |= _columns_of(values)
     return Table(tuple(columns), np.column_stack(list(columns.values())))
 
 
@@ -33,10 +33,10 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """
     frames, points = _sizes(result)
     columns: dict[str, NDArray[np.generic]] = {"frame": np.repeat(result["frame"].values, points)}
-    columns |= {name: np.repeat(one, points) for name, one in _of(result["time"]).items()}
+    columns |= {name: np.repeat(one, points) for name, one in _columns_of(result["time"]).items()}
     columns["point"] = np.tile(np.arange(points), frames)
-    for values in _chosen(result, variables, ("frame", "point"), ("point",)):
-        for name, one in _of(values).items():
+    for values in _select(result, variables, ("frame", "point"), ("point",)):
+        for name, one in _columns_of(values).items():
             columns[name] = one.reshape(-1) if values.dims[0] == "frame" else np.tile(one, frames)
     return Table(tuple(columns), np.column_stack(list(columns.values())))
 
@@ -56,9 +56,9 @@ def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
         "y": position[:, 1],
         "x": position[:, 0],
     }
-    named = _chosen(result, variables, ("frame", "point")) if variables else ()
+    named = _select(result, variables, ("frame", "point")) if variables else ()
     for values in named:
-        columns |= {name: one.T.reshape(-1) for name, one in _of(values).items()}
+        columns |= {name: one.T.reshape(-1) for name, one in _columns_of(values).items()}
     rows = np.column_stack(list(columns.values()))
     return Table(tuple(columns), rows[np.isfinite(position).all(1)])
 
@@ -69,8 +69,8 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
     return result.sizes["frame"], result.sizes["point"]
 
 
-def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Yield all variables (or those named in `variables`) that have one of the given tuples of dimensions."""
+def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
+    """Yield the variables whose dimensions are one of the tuples `dims`: those named in `variables`, or all if None."""
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -89,8 +89,8 @@ def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
             )
 
 
-def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return a mapping from column name with unit to values, one column per component of a variable."""
+def _columns_of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
+    """Return the columns of a variable, one per component: a mapping from name with unit to values."""
     units = values.attrs["units"]
     if values.dims[-1] not in LABELS:
         return {f"{values.name} ({units})": values.values}

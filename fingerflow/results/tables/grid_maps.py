@@ -91,9 +91,9 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
         of_frame = given[frame].values
         of_frame = of_frame if parts else of_frame[:, None]
         if corners is None:
-            values[frame] = _of_points(points, of_frame, places, reach).transpose(2, 0, 1)
+            values[frame] = _interpolate_points(points, of_frame, places, reach).transpose(2, 0, 1)
         else:
-            values[frame] = _of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
+            values[frame] = _values_of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
     units = str(given.attrs["units"])
     frames, times = result["frame"].values, result["time"].values
     return Maps(variable, units, components, values, x, y, frames, times, step_mm)
@@ -111,10 +111,13 @@ def _gauge_mm(result: xr.Dataset) -> float:
     return float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"])
 
 
-def _of_points(
+def _interpolate_points(
     points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """Interpolate a variable of points to the grid positions in one frame, as (H, W, C)."""
+    """Interpolate a variable of points to the grid positions (H, W, 2) of one frame, as (H, W, C).
+
+    The result is NaN farther than `reach` from all points.
+    """
     found = np.full((*places.shape[:2], values.shape[1]), np.nan)
     usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
     if usable.sum() < 3:
@@ -128,7 +131,7 @@ def _of_points(
     return found
 
 
-def _of_triangles(
+def _values_of_triangles(
     points: NDArray[np.float64],
     corners: NDArray[np.integer],
     values: NDArray[np.floating],

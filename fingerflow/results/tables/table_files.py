@@ -81,7 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file was written by this module, judged by first bytes, variables or tags of the file."""
+    """Return whether a file is a table or map written by this module, judged by first bytes, variables or tags."""
     try:
         if path.suffix == ".mat":
             return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}

@@ -12,7 +12,7 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
-from fingerflow.pipeline.run import _pass, _Way
+from fingerflow.pipeline.run import _pass, _RunOptions
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
@@ -74,7 +74,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
 def run(trial: RunContext, *stages: Stage) -> None:
     """All parts of these stages, which share a pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
-    run_alone(_pass(stages, trial, {}, _Way(progress=False)))
+    run_alone(_pass(stages, trial, {}, _RunOptions(progress=False)))
 
 
 def values_of(trial: RunContext, name: str) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
-from fingerflow.pipeline.stages.fields.median_bias import MedianBias, of_ranks
+from fingerflow.pipeline.stages.fields.median_bias import MedianBias, rank_variance
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain_stage as strain
@@ -165,7 +165,7 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
     Of medians the scatter counts: what all copies have in common comes from the frames in which the border is seen. So
     their deviation, and that of energy, is by the errors of the points; what else is in it has tests with presses and
     slides."""
-    monkeypatch.setattr(MedianBias, "square", lambda bias: np.zeros((FRAMES, 5)))
+    monkeypatch.setattr(MedianBias, "variance", lambda bias: np.zeros((FRAMES, 5)))
     monkeypatch.setattr(strain, "border_density", lambda density, *_, reach_mm: np.zeros(len(density)))
     motion, points = MOTIONS[kind], material()
     errors: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
@@ -274,16 +274,16 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
         known = torch.tensor([share])
         return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
 
-    np.testing.assert_allclose(np.sqrt(of_ranks(found(0.8, 50.0))), 12.5 / np.sqrt(3), rtol=0.05)
-    assert (of_ranks(found(1.0, 50.0)) == 0).all()
-    near_the_end = np.sqrt(of_ranks(found(0.8, 98.0))) * np.sqrt(3)
+    np.testing.assert_allclose(np.sqrt(rank_variance(found(0.8, 50.0))), 12.5 / np.sqrt(3), rtol=0.05)
+    assert (rank_variance(found(1.0, 50.0)) == 0).all()
+    near_the_end = np.sqrt(rank_variance(found(0.8, 98.0))) * np.sqrt(3)
     np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
     # Of ranks that are 4 points apart, as 16 points moved in, fields of points evenly spread differ by 4.
-    np.testing.assert_allclose(np.sqrt(of_ranks(found(1.0, 50.0), np.array([16]))), 4.0)
-    both = np.sqrt(of_ranks(found(0.8, 50.0), np.array([16])))
+    np.testing.assert_allclose(np.sqrt(rank_variance(found(1.0, 50.0), np.array([16]))), 4.0)
+    both = np.sqrt(rank_variance(found(0.8, 50.0), np.array([16])))
     np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
     nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
-    assert (of_ranks(nothing) == 0).all()
+    assert (rank_variance(nothing) == 0).all()
 
 
 def test_energy_in_a_strip_along_the_border() -> None:

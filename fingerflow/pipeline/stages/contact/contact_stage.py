@@ -32,8 +32,9 @@ _STEADY = 0.01  # change of illumination gain that does not change areas
 
 
 class ContactStage(Stage):
-    """Stage that measures real area, gross area, gross region and fitted ellipse of the contact in every frame. It
-    keeps numbers, never pictures.
+    """Stage that measures real area, gross area, gross region and fitted ellipse of the contact in every frame.
+
+    The stage stores measured quantities, no images.
 
     Attributes:
         series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
@@ -114,7 +115,7 @@ class ContactStage(Stage):
         return contact
 
     def finish(self) -> None:
-        """Store contact areas and ellipses of all frames; warn if brightness may have changed by an unknown factor."""
+        """Store contact areas and ellipses of all frames; warn if the illumination changed by an unknown factor."""
         first_frame = self.inputs.scene.recording.first_frame
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
@@ -152,7 +153,8 @@ class ContactStage(Stage):
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the gross contact (1, 1, h, w) of the reference frame, or its union with that of the first frame.
+        """Return the gross contact (1, 1, h, w) of the reference frame, united with that of the first frame if the
+        contact moved.
 
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside. That
         contact has left its first region since, and skin there has no onset to wait for.
@@ -161,7 +163,7 @@ class ContactStage(Stage):
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the dilated union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame.
+        """Return the union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame, dilated.
 
         A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
         sides of the contact border.
@@ -206,7 +208,9 @@ class ContactStage(Stage):
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
 
     def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
-        """Return the share of lit pixels that are brighter in a frame than on the empty glass, corrected for gain."""
+        """Return the share of lit pixels that are brighter in a frame than on the empty glass under the same
+        illumination.
+        """
         frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
         images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])

@@ -58,7 +58,7 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
 
 
 def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
-    """Return the seeding frame (L,) of each of the L points with the indices `later`.
+    """Return the frame (L,) in which each of the L points with the indices `later` was seeded.
 
     That is the first frame in which they are tracked, or the last one for backward tracking.
     """

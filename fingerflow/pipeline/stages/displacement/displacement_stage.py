@@ -236,7 +236,8 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of each displacement component that results from image noise.
+        """Return the variance (n, N) px^2 of displacement components due to image noise, given the variance `now` of
+        positions.
 
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself.
@@ -278,13 +279,13 @@ class DisplacementStage(Stage):
         rough = BORDER_MM * frames_per_mm
         variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
-        # Both sides at once: each call of `_place` reads all frames.
+        # Both sides at once: each call of `_positions_in` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
-        place = self._place(every)
+        place = self._positions_in(every)
         unknown = ~np.isfinite(place).all(-1)
         every = np.where(unknown, onset, every)
         if unknown.any():
-            place[unknown] = np.broadcast_to(self._place(onset), place.shape)[unknown]
+            place[unknown] = np.broadcast_to(self._positions_in(onset), place.shape)[unknown]
         before, after = every
         step = place[1] - place[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
@@ -296,13 +297,13 @@ class DisplacementStage(Stage):
         speed = speed * np.sqrt(share)[:, None]
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
-    def _place(self, frames: NDArray[np.integer]) -> Points:
-        """Return the positions (..., N, 2) mm of N points, each in its own frame (`frames`, -1 for the last frame)."""
+    def _positions_in(self, frames: NDArray[np.integer]) -> Points:
+        """Return the positions (..., N, 2) mm of N points, each in its own frame of `frames`; -1 is the last frame."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Positions of all points in the common reference frame; NaN for points not tracked in that frame."""
+    """Positions of all points in the common reference frame of displacement; NaN for points not tracked in it."""
 
     place: Points  # (N, 2) mm
     place_px: Points

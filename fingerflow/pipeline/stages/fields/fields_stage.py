@@ -66,7 +66,7 @@ class FieldsStage(Stage):
         moved: Moved = batch.of(DisplacementStage)
         ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
         covariance = displacement.covariance(moved)
-        entered = None if self._entry is None else self._entered(self._entry, batch.indices)
+        entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
         found: FrameFields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
@@ -79,7 +79,7 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share
         self._median[batch.indices] = found.median
         self._median_std[batch.indices] = found.median_std
-        self._bias.look(
+        self._bias.add(
             batch,
             _tensors_of(found),
             torch.from_numpy(shift),
@@ -87,8 +87,10 @@ class FieldsStage(Stage):
             None if entered is None else torch.from_numpy(entered.among),
         )
 
-    def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return displacement gradients, and covariances, at points that were advected (entered) into the contact."""
+    def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
+        """Return displacement gradients and covariances of points that were advected into the contact, since their
+        entry.
+        """
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
@@ -103,7 +105,7 @@ class FieldsStage(Stage):
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)
         self.results.put("field_coverage", self._known)
-        self._median_std = np.sqrt(self._median_std**2 + self._bias.square())
+        self._median_std = np.sqrt(self._median_std**2 + self._bias.variance())
         times, window = self.inputs.times, self._settings.rate_window_s
         divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         self.results.put("median_divergence", divergence, self._gauge)

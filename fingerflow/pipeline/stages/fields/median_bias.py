@@ -47,18 +47,20 @@ class MedianBias:
         self._seen = np.full((len(self._looks), 5), np.nan)  # variance by gauge length and border
         self._square = np.zeros((frames, 5))  # variance by unknown and advected skin
 
-    def look(
+    def add(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """Add n frames to the estimate: `found` are the fields of points, `entered` (n, N) marks advected points."""
+        """Add the fields `found` of points in n frames to the estimate; the mask `entered` (n, N) marks advected
+        points.
+        """
         assert found.median is not None
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
-        self._square[batch.indices] = of_ranks(found, count)
+        self._square[batch.indices] = rank_variance(found, count)
         some = np.flatnonzero(np.isin(batch.indices, self._looks))
         if not len(some):
             return
-        beside = None if entered is None else Apart(entered[some], _five(found)[some].mT, None)
+        beside = None if entered is None else Apart(entered[some], _stack_components(found)[some].mT, None)
         center, semi_axes, angle = (one[some] for one in ellipse)
         median, variance = found.median[some], found.median_std[some].square()
         square = torch.zeros_like(median)
@@ -76,8 +78,9 @@ class MedianBias:
             square += ((other.median - median).square() - variance).clamp_min(0)
         self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
-    def square(self) -> NDArray[np.float64]:
-        """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, position errors excluded.
+    def variance(self) -> NDArray[np.float64]:
+        """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, without the part due to
+        position errors.
 
         Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
         NaN if there is none.
@@ -91,8 +94,10 @@ class MedianBias:
         return result
 
 
-def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of the medians in n frames that results from their uncertain rank.
+def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
+    """Return the variance (n, 5) of medians in n frames that results from skin in contact whose values are unknown.
+
+    Such skin makes the rank of the median uncertain.
 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.
@@ -104,7 +109,7 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # otherwise both ranks are the same
     if not len(some):
         return result
-    fields = _five(found).cpu().numpy()[some]
+    fields = _stack_components(found).cpu().numpy()[some]
     whole = np.isfinite(fields.sum(1, keepdims=True))
     # Points are denser where skin has texture, so the median of points differs from that of the area: ranks are
     # counted from the latter.
@@ -113,8 +118,8 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     count, frame, field = whole.sum(2), np.arange(len(some))[:, None], np.arange(5)
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
-    def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the square of half the difference between values `reach` (k, 1) ranks above and below the median."""
+    def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the squared half difference of the values that lie `reach` (k, 1) ranks above and below the median."""
         low, high = (
             ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)
@@ -123,12 +128,12 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
         return np.where(count > 0, spread**2, 0.0)
 
     share = share[some, None]
-    result[some] = square_between(count * (1 - share) / (2 * share)) / 3
+    result[some] = squared_half_range(count * (1 - share) / (2 * share)) / 3
     if entered is not None:
-        result[some] += square_between(np.sqrt(came[some, None]))
+        result[some] += squared_half_range(np.sqrt(came[some, None]))
     return result
 
 
-def _five(found: Fields) -> Tensor:
+def _stack_components(found: Fields) -> Tensor:
     """Stack divergence, curl, exx, eyy and exy of N points in n frames to a tensor (n, 5, N)."""
     return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1)

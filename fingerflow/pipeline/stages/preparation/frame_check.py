@@ -88,7 +88,10 @@ class FrameCheckStage(Stage):
         self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
-        """Set the status of each frame and warn of unusable frames. Raises FingerflowError where no frame is usable."""
+        """Set the status of each frame, and warn of unusable frames.
+
+        Raises FingerflowError where no frame is usable.
+        """
         status = self._status
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE

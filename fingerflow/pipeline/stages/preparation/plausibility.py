@@ -35,7 +35,7 @@ def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
 
 
 def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning if the measured ridge period (px, or NaN) is not one of skin at the calibrated image scale."""
+    """Return a warning if the ridge period (px) at the calibrated image scale is not that of a finger; none for NaN."""
     period, (least, most) = period_px * mm_per_px, _RIDGE_MM
     if not np.isfinite(period) or least <= period <= most:
         return []
@@ -47,7 +47,7 @@ def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
 
 
 def of_views(offset_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning if the calibration puts skin ridges `offset_px` px apart in the two views; none for 0."""
+    """Return a warning if the calibration places the same ridges `offset_px` px apart in both views; none for 0."""
     if not offset_px:
         return []
     return [
@@ -58,7 +58,7 @@ def of_views(offset_px: float, mm_per_px: float) -> list[str]:
 
 
 def of_background(brighter: float, frame: int) -> list[str]:
-    """Return a warning if a large share `brighter` of a frame is brighter than the background without a finger."""
+    """Return a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
     if not brighter > _BRIGHTER_SHARE:
         return []
     return [

@@ -18,7 +18,7 @@ Picture = NDArray[np.float32]
 
 
 class SkinPatch(NamedTuple):
-    """Patch of skin in contact: an image `ridges` (h, w) without uneven light, reduced by the factor `scale`.
+    """Image `ridges` (h, w) of a patch of skin in contact, corrected for uneven light and resampled by `scale`.
 
     `inside` (h, w) bool is the contact, `box` its rows and columns in the view.
     """
@@ -93,7 +93,7 @@ def _reduced(picture: Picture, scale: float) -> Picture:
 
 
 def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """Return an image minus the local mean, which removes waves longer than ridges; 0 outside the mask."""
+    """Return an image minus the local mean, so that no waves longer than ridges remain; 0 outside the mask."""
     weight = inside.astype(np.float32)
     mean = _mean(picture * weight)
     mean /= np.maximum(_mean(weight), np.float32(1e-3))

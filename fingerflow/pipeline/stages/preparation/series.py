@@ -20,7 +20,7 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:
-    """Return the time derivative (F, ...) per second of values (F, ...), smoothed as by Savitzky & Golay (1964).
+    """Return the time derivative (F, ...) per second of values (F, ...), by local parabolas (Savitzky & Golay, 1964).
 
     The parabola is fitted over ``window_s``. Each run of finite values is differentiated by itself; a run shorter than
     the window gives NaN.

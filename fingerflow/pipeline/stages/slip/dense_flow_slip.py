@@ -97,7 +97,9 @@ class DenseFlowSlipStage(SlipStage):
             )
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Prepare the dense flow; return the function that predicts the blurred displacement near a slip border."""
+        """Prepare the dense flow; return the function that predicts the displacement that the flow measures near a slip
+        border.
+        """
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
@@ -134,7 +136,10 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Store the difference between points (N, 2) mm and dense flow (N, 3) px, in mm and in standard deviations."""
+        """Store the differences between points (N, 2) mm and dense flow (N, 3) px, in mm and in standard deviations.
+
+        The third value of the flow is its variance, px^2.
+        """
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
         if not known.any():
@@ -208,7 +213,7 @@ class DenseFlowSlipStage(SlipStage):
 
 
 def _sampled(field: Field, pixels: Field) -> Field:
-    """Interpolate a field (H, W, C) at positions (..., 2) px; NaN outside the field and beside NaN values."""
+    """Interpolate a field (H, W, C) at positions (..., 2) px; NaN outside the field and next to NaN values."""
     x, y = (np.ascontiguousarray(pixels[..., k].reshape(-1, 1)) for k in (0, 1))
     values = cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(math.nan,) * 4)
     return np.asarray(values.reshape(*pixels.shape[:-1], -1), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Measurement of how much dense optical flow blurs the border of a stick region, on the flow's reference frame."""
+"""Measure how much dense optical flow blurs the border of a stick region, in an image displaced by known amounts."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Response of dense flow to a slip border, beyond which the true displacement is a ramp.
+    """Displacement that dense flow measures near a slip border, beyond which skin has moved by a ramp.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
@@ -63,7 +63,7 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of dense flow at K distances from a border, for a frame displaced by known amounts.
+    """Return the mean error (K,) px of dense flow at K distances from a border, in an image displaced along `axis`.
 
     `distances` (K,) px are beyond the border.
     """

@@ -20,7 +20,7 @@ _FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displaceme
 
 
 class FlowMotion(NamedTuple):
-    """Displacement of all skin pixels from the first frame to a later frame, with the variance by image noise.
+    """Displacement of all skin pixels from the first frame to a later frame, with the variance due to image noise.
 
     Attributes:
         displacement: (H, W, 2) px of the skin at each pixel of the first picture; NaN where the flow is rejected.
@@ -34,7 +34,8 @@ class FlowMotion(NamedTuple):
 
 
 class SkinFlow:
-    """Dense optical flow (`ops.dense_flow`) from the first frame to each later one, started from the last two results.
+    """Dense optical flow (`ops.dense_flow`) from the first frame to each later frame, initialised by the last two
+    results.
 
     The smoothness is set for a slipping rim. With the default of `ops.dense_flow`, for a finger that widens evenly,
     errors on `fingerflow.synthetic.PartialSlip` are 0.10 to 0.22 px in the slip region; with this one they are 0.05 to

@@ -144,7 +144,7 @@ class SlipStage(Stage):
                 self._border.gather(*self._shown(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> Seen:
-        """Return the function that gives the measured (seen), hence blurred, displacement near a slip border."""
+        """Return the function that predicts the displacement that tracking windows measure near a slip border."""
         return partial(seen_ramp, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
@@ -172,7 +172,7 @@ class SlipStage(Stage):
         return grid.displacement(motion)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        """Return the positions (K, 2) mm in one frame of all skin whose displacement was measured (seen)."""
+        """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
         places = grid.points + motion
         return np.asarray(places[np.isfinite(places).all(-1)])
 
@@ -371,7 +371,7 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the friction fit, marked as not identified if it predicts loss of adhesion at a wrong load ratio T/N."""
+    """Return the friction fit, marked as not identified if it contradicts the measured load ratio T/N at full slip."""
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))

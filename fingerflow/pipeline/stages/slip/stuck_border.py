@@ -124,7 +124,7 @@ class StuckBorder:
 
     @property
     def followed(self) -> float:
-        """Return the displacement level, mm, whose contour bounds the stick region inside a wide slipping annulus."""
+        """Return the displacement level, mm, whose contour bounds the stick region if the slipping annulus is wide."""
         return float(np.fmax(self.level, self._above * self.noise))
 
     def settle(self) -> None:
@@ -179,8 +179,7 @@ class StuckBorder:
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
-        """Return the displacement level, mm, of the contour to draw, and the distance, mm, of that contour from the
-        stick border.
+        """Return the displacement level, mm, of the contour to draw, and how far, mm, it lies outside the stick border.
 
         This is the level at the border itself, or a higher one where noise requires it, as far as it is reached in a
         slipping annulus of this width.

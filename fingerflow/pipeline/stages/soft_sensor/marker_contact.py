@@ -1,4 +1,4 @@
-"""Contact region of a soft sensor, from changes of light on the gel and displacements of the markers."""
+"""Contact region of a soft sensor, from brightness changes of the gel and displacements of the markers."""
 
 import math
 
@@ -31,8 +31,8 @@ _LEAST_AREA = 0.25  # square spacings
 
 
 class MarkerContactStage(ContactStage):
-    """Stage that finds the gross contact of a soft sensor as the largest connected region of changed light or
-    displacement.
+    """Stage that finds the gross contact of a soft sensor: the largest region in which brightness changed or the gel
+    moved.
 
     Light becomes brighter or darker where the gel's surface is tilted; both count. The threshold is that of Otsu (1979)
     in the sampled frame with the largest change. Where a flat or soft object tilts nothing, the contact is the region
@@ -60,7 +60,7 @@ class MarkerContactStage(ContactStage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def begin_as(self, other: "MarkerContactStage") -> None:
-        """Begin with the rest image and the light threshold of another stage that processed this recording."""
+        """Begin with the rest image and brightness threshold that another stage measured in the same recording."""
         self._follow()
         self._rest, self._least_change = other._rest, other._least_change
 
@@ -74,8 +74,8 @@ class MarkerContactStage(ContactStage):
         """Find the contact region in a batch of frames, store it, and return it as masks (n, h, w) of cells."""
         assert batch.frames is not None
         view = self.inputs.view(batch.frames, self._view)
-        change = self._change(view, batch.indices)
-        moved = np.stack([self._moved(frame) for frame in batch.indices])
+        change = self._brightness_change(view, batch.indices)
+        moved = np.stack([self._displaced_cells(frame) for frame in batch.indices])
         lit = largest_component(fill_holes(change.abs() > self._least_change))
         large = lit.sum((1, 2, 3), keepdim=True) * CELL_PX**2 >= _LEAST_AREA * self._markers.spacing**2
         region = torch.where(large, lit, largest_component(torch.from_numpy(moved)[:, None].to(lit.device)))
@@ -113,14 +113,15 @@ class MarkerContactStage(ContactStage):
             return float(setting)
         count = len(self.trial)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
-        change = self._change(self._pictures(looks), looks).abs().flatten(1)
+        change = self._brightness_change(self._pictures(looks), looks).abs().flatten(1)
         most = change[change.nanquantile(0.95, dim=1).argmax()]
         levels = (most[most.isfinite()].clamp_max(0.5) * 510).round().to(torch.uint8)
         threshold = float(otsu_threshold(levels[None, None, None]).reshape(())) / 510 if len(levels) else 0.0
         return max(threshold, _LEAST_CHANGE)
 
-    def _change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
-        """Return the change of light (n, 1, h, w) in cells since rest, measured beside the markers.
+    def _brightness_change(self, view: Tensor, frames: NDArray[np.intp]) -> Tensor:
+        """Return the brightness change (n, 1, h, w) of each cell since the gel was at rest, from pixels between the
+        markers.
 
         It is 0 in cells that show nothing but markers.
         """
@@ -132,7 +133,7 @@ class MarkerContactStage(ContactStage):
         hidden = dilate(hidden, math.ceil(_HIDDEN * self._markers.look.scale)).to(view.device)
         return light_change(view, self._rest, hidden, CELL_PX, self._markers.look.scale).nan_to_num(0.0)
 
-    def _moved(self, frame: int) -> NDArray[np.bool_]:
+    def _displaced_cells(self, frame: int) -> NDArray[np.bool_]:
         """Return the mask (h, w) of cells in which the displacement of the gel exceeds the threshold."""
         points = self._markers.points[frame]
         moved = points - self._markers.rest

@@ -34,7 +34,7 @@ def find_rest(frames: list[Points]) -> Rest:
     spacing = _spacing(frames)
     looks = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _LOOKS)).round().astype(int))
     trees = {int(k): cKDTree(frames[k]) for k in looks if len(frames[k])}
-    alike = np.array([[_alike(trees.get(int(a)), frames[b], spacing) for b in looks] for a in looks])
+    alike = np.array([[_show_same_state(trees.get(int(a)), frames[b], spacing) for b in looks] for a in looks])
     free, states = np.ones(len(looks), dtype=bool), list[int]()
     while free.any():
         count = (alike & free).sum(1) * free
@@ -52,7 +52,7 @@ def find_rest(frames: list[Points]) -> Rest:
         if found < _FLATTER * usual:
             chosen, usual = other, found
     frame = int(looks[chosen])
-    return Rest(frame, np.array([_alike(trees[frame], points, spacing) for points in frames]))
+    return Rest(frame, np.array([_show_same_state(trees[frame], points, spacing) for points in frames]))
 
 
 def _spacing(frames: list[Points]) -> float:
@@ -60,15 +60,17 @@ def _spacing(frames: list[Points]) -> float:
     return float(np.median(np.concatenate(nearest))) if nearest else 1.0
 
 
-def _alike(tree: cKDTree | None, points: Points, spacing: float) -> bool:
-    """Return whether two frames show one state of the gel: most markers at equal positions, counts within 5 %."""
+def _show_same_state(tree: cKDTree | None, points: Points, spacing: float) -> bool:
+    """Return whether two frames show the gel in one state: marker counts within 5 %, most at equal positions."""
     if tree is None or not len(points) or abs(len(points) - tree.n) > (1 - _MOST_OFF) * max(len(points), tree.n):
         return False
     return bool(np.mean(tree.query(points)[0] < _STILL * spacing) >= _MOST_OFF)
 
 
 def _unevenness(points: Points, spacing: float) -> float:
-    """Return how irregular a marker lattice is: mean distance, px, of markers from the centroid of four neighbours."""
+    """Return how irregular a marker lattice is: mean distance, px, of markers from the centroid of their four
+    neighbours.
+    """
     if len(points) < 5:
         return 0.0
     number = cKDTree(points).query(points, k=5)[1][:, 1:]

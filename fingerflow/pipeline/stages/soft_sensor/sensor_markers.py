@@ -23,7 +23,9 @@ _SAME = 0.4  # spacings within which inferred rest positions belong to one marke
 
 
 class Seen(NamedTuple):
-    """Markers detected in one frame: positions px, covariances px^2, and position differences between two scales px."""
+    """Markers detected in one frame: positions (px), covariances (px^2), and differences of positions at two scales
+    (px).
+    """
 
     points: Tensor
     covariance: Tensor
@@ -116,10 +118,10 @@ class MarkerStage(Stage):
                 f"{self.inputs.recording.path}: {len(reference)} markers are in frame {self._number(self.rest_frame)}, "
                 f"where the gel is at rest; at least 3 are needed. Check [views.camera]"
             )
-        cut = self._cut(reference)
+        cut = self._are_cut(reference)
         ties = tie_neighbours(reference)
         numbers = self._follow(reference, ties)
-        more = self._that_come_in(reference, numbers, ties.spacing)
+        more = self._infer_entering_markers(reference, numbers, ties.spacing)
         if len(more):
             reference = torch.cat((reference, more))
             cut = torch.cat((cut, torch.ones(len(more), dtype=torch.bool)))
@@ -133,7 +135,7 @@ class MarkerStage(Stage):
         self._seen.clear()
 
     def _follow(self, reference: Tensor, ties: Ties) -> Tensor:
-        """Return for each frame the indices (frames, N) of N markers among the detected ones; -1 if not detected."""
+        """Return the index (frames, N) of each of N markers among the detections of each frame; -1 if not detected."""
         numbers = torch.full((len(self._seen), len(reference)), -1)
         for frames in (range(self.rest_frame, len(self._seen)), range(self.rest_frame, -1, -1)):
             moved = torch.zeros_like(reference)
@@ -148,8 +150,10 @@ class MarkerStage(Stage):
                     moved[~seen] = moved[seen][nearest]
         return numbers
 
-    def _that_come_in(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """Return inferred rest positions (K, 2) px of markers outside the view that enter the view in later frames."""
+    def _infer_entering_markers(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
+        """Infer the rest positions (K, 2) px of markers that lie outside the view at rest, but enter it in other
+        frames.
+        """
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
             mine = number[number >= 0]
@@ -181,15 +185,15 @@ class MarkerStage(Stage):
             covariance[frame, mine] = seen.covariance[number[mine]]
             unsure = seen.disagreement[number[mine]] > self._limit
             status[frame, mine] = torch.where(unsure, TrackStatus.MISMATCH, TrackStatus.TRACKED).to(torch.uint8)
-            status[frame, mine & _torn(points[frame] - reference, ties)] = TrackStatus.OFF_NEIGHBOURS
-            expected = torch.where(mine[:, None], points[frame], _with_nearest(reference, points[frame]))
-            status[frame, self._cut(expected)] = TrackStatus.LEFT_FRAME
+            status[frame, mine & _are_overstretched(points[frame] - reference, ties)] = TrackStatus.OFF_NEIGHBOURS
+            expected = torch.where(mine[:, None], points[frame], _expected_positions(reference, points[frame]))
+            status[frame, self._are_cut(expected)] = TrackStatus.LEFT_FRAME
         lost = status != TrackStatus.TRACKED
         points[lost], covariance[lost] = torch.nan, torch.nan
         self.points, self.covariance, self.status = points.numpy(), covariance.numpy(), status.numpy()
 
-    def _cut(self, points: Tensor) -> Tensor:
-        """Return a mask (N,) of markers that the border of the view cuts, given marker positions."""
+    def _are_cut(self, points: Tensor) -> Tensor:
+        """Return a mask (N,) of the markers at `points` (N, 2) px that the border of the view cuts off."""
         height, width = self._view.shape
         size = torch.tensor([width - 1.0, height - 1.0], dtype=points.dtype)
         return torch.minimum(points, size - points).amin(-1) < self.look.radius
@@ -213,7 +217,7 @@ class MarkerStage(Stage):
         return frame + self.inputs.scene.recording.first_frame
 
 
-def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
+def _expected_positions(reference: Tensor, points: Tensor) -> Tensor:
     """Return expected marker positions (N, 2) px: rest position plus displacement of the nearest detected marker."""
     known = points.isfinite().all(-1)
     if not known.any():
@@ -222,8 +226,8 @@ def _with_nearest(reference: Tensor, points: Tensor) -> Tensor:
     return reference + moved[torch.cdist(reference, reference[known]).argmin(1)]
 
 
-def _torn(moved: Tensor, ties: Ties) -> Tensor:
-    """Return a mask (N,) of markers whose displacement differs from most neighbours more than a gel can stretch."""
+def _are_overstretched(moved: Tensor, ties: Ties) -> Tensor:
+    """Return a mask (N,) of markers whose displacement differs from most neighbours by more than a gel can stretch."""
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

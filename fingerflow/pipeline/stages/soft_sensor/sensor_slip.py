@@ -60,7 +60,7 @@ class SensorSlipStage(Stage):
             known = touches[frame] & np.isfinite(moved[frame]).all(-1)
             if known.any():
                 mean[frame] = moved[frame][known].mean(0)
-            ratio[frame] = self._departed(reference, np.where(known[:, None], moved[frame] - start, np.nan))
+            ratio[frame] = self._slipped_share(reference, np.where(known[:, None], moved[frame] - start, np.nan))
             if frame:
                 before, now = (moved[k][touches[frame - 1]] for k in (frame - 1, frame))
                 gross[frame] = _springs_back(before, now, spacing)
@@ -70,8 +70,10 @@ class SensorSlipStage(Stage):
             "gross_slip", gross, {"share_lost": round(_LET_GO, 4), "least_mm": round(_SHEARED * spacing, 4)}
         )
 
-    def _departed(self, reference: torch.Tensor, moved: Array) -> float:
-        """Return the share of markers whose displacement (N, 2) mm departs from the rigid motion of the majority."""
+    def _slipped_share(self, reference: torch.Tensor, moved: Array) -> float:
+        """Return the share of markers whose displacement (N, 2) mm differs from the rigid motion that fits the
+        majority.
+        """
         known = np.isfinite(moved).all(-1)
         if known.sum() < _FEWEST:
             return float("nan")

@@ -1,4 +1,4 @@
-"""Select the triangles for strain, with reference position and reference frame of every corner."""
+"""Selection of the triangles on which strain is computed, with reference position and frame of every corner."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class CountedSkin:
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
     def _of_entered(self) -> NDArray[np.int32]:
-        """Return Delaunay triangles (M, 3) of touched points that have a corner advected into the contact."""
+        """Return the Delaunay triangles (M, 3) of points that have touched, with a corner advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
@@ -71,7 +71,8 @@ class CountedSkin:
     def _collapsed(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
     ) -> NDArray[np.bool_]:
-        """Return a mask (M,) of triangles that are distorted because the corners touched at different times.
+        """Return a mask (M,) of triangles whose reference shape is distorted, as the corners touched at different
+        times.
 
         Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
         some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
@@ -88,7 +89,11 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of all points and separate corners."""
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the tracked points, followed by the
+        separate corners.
+
+        Separate corners are copies of points for triangles with another reference frame.
+        """
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):

@@ -189,7 +189,10 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return the correlations between tracking errors at different corners of the triangles, as `SharedErrors`.
+    """Return correlations of tracking errors: between the corners of triangles (M, 3), and between K pairs of near
+    points.
+
+    The pairs (K, 2) and their correlations (K,) are the second and third value.
 
     Tracking errors come from pixel noise in a window and correlate by the share that two windows have in common: on a
     press correlations are 0.2, 0.4 and 0.6 to 0.75 where the share is a fifth, two fifths and two thirds. Half of a

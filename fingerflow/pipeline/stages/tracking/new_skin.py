@@ -1,4 +1,4 @@
-"""Detection of skin in contact that has no tracked points, since the skin lay outside the seeding region.
+"""Detection of skin in contact that has no tracked points, because it lay outside the region of seeding.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
@@ -84,11 +84,11 @@ class NewSkin:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
         tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
-        some = np.flatnonzero(self._may_be_empty(touching, place[tracked], way[tracked], far))
+        some = np.flatnonzero(self._may_lack_points(touching, place[tracked], way[tracked], far))
         if not len(some):
             return None
         rows, columns = np.indices(touching.shape)
-        at = _looked_at(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
+        at = _cell_centres(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
         tree = cKDTree(place[tracked])
         distance, nearest = tree.query(at[some])
         coming = at[some] + _AHEAD * way[tracked[nearest]]
@@ -108,10 +108,10 @@ class NewSkin:
         steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
         wanted = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
         wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
-        return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
+        return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
 
-    def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flattened mask of cells in contact (now or soon) without a point (N, 2) within `far` px.
+    def _may_lack_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
+        """Return a flat mask of cells, in contact now or soon, that may have no point (N, 2) within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -123,7 +123,9 @@ class NewSkin:
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
         cell = np.floor((place + 0.5) / side).astype(int)
         column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
-        across, down = ((_looked_at(some, self._cell) - place[:, k, None]) ** 2 for k, some in enumerate((column, row)))
+        across, down = (
+            (_cell_centres(some, self._cell) - place[:, k, None]) ** 2 for k, some in enumerate((column, row))
+        )
         near = down[:, :, None] + across[:, None] <= far**2
         near &= ((row >= 0) & (row < touching.shape[0]))[:, :, None]
         near &= ((column >= 0) & (column < touching.shape[1]))[:, None]
@@ -149,7 +151,7 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return a mask (K,) of positions (K, 2) px whose skin was outside the region in which points were seeded."""
+        """Return a mask (K,) of positions (K, 2) px whose skin lay outside the seeding region of the nearest point."""
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -167,7 +169,7 @@ class NewSkin:
         warped = cv2.warpAffine(np.asarray(picture, np.uint8), self._matrix, (width, height), flags=onto)
         return np.asarray(warped > 0)
 
-    def _beside(self, place: Points) -> Mask:
+    def _near_points(self, place: Points) -> Mask:
         """Return the mask (h, w) of pixels closer to a tracked point than half the median point spacing."""
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
@@ -179,7 +181,10 @@ class NewSkin:
         return np.asarray(distance < spacing / 2)
 
 
-def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Return the px coordinate of the cell centre for each index of a sampled cell (every `_STEP`-th) along an axis."""
+def _cell_centres(number: NDArray[np.integer], cell_px: int) -> Points:
+    """Return the px coordinate of the cell centre for each index of a sampled cell along an axis.
+
+    Every `_STEP`-th cell is sampled.
+    """
     result: Points = (number * _STEP + 0.5) * cell_px - 0.5
     return result

@@ -110,10 +110,12 @@ class TrackingStage(Stage):
             if self._usable[indices[0]]:
                 yield from self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
             else:
-                self._pass_over(indices)
+                self._skip_frames(indices)
 
-    def _pass_over(self, indices: NDArray[np.intp]) -> None:
-        """Skip unusable frames, for which the expected position of each point is extrapolated at the last speed."""
+    def _skip_frames(self, indices: NDArray[np.intp]) -> None:
+        """Mark frames as unusable, and extrapolate the expected position of each point over these frames at its last
+        speed.
+        """
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -137,7 +139,7 @@ class TrackingStage(Stage):
         before, last = found.status.shape[1], len(images) - 1
         new = self._seed_new(images[last:], margin[last], found.of(slice(last, None)))
         if new is not None:
-            found = beside([found, _in_last_of(len(images), new)])
+            found = beside([found, _extend_to_batch(len(images), new)])
         pixels, error, status = found.points, found.error, found.status
         covered = self._engine.covered(margin, found.estimate, self._matrix)
         for name, values in {
@@ -169,7 +171,7 @@ class TrackingStage(Stage):
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
-        where = self._where()
+        where = self._seeding_region()
         points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
         if len(points) < 3:
             raise FingerflowError(
@@ -184,11 +186,14 @@ class TrackingStage(Stage):
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
-        return self._add(image, points, np.zeros(0, np.intp))
+        return self._start_tracking(image, points, np.zeros(0, np.intp))
 
-    def _add(self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any) -> FoundPoints:
-        """Register newly seeded points, guided by earlier points with indices `numbers`; return the tracking results
-        (1, N).
+    def _start_tracking(
+        self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
+    ) -> FoundPoints:
+        """Start to track newly seeded points (N, 2) px, and return their tracking results (1, N) in this frame.
+
+        `numbers` are the indices of earlier points near the new ones.
 
         `more` are the positions of the earlier points, and the motion of the new ones.
         """
@@ -201,7 +206,11 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w); return them or None. `found` (1, N) has earlier points."""
+        """Seed points in new skin of an image (1, 1, h, w), and return their tracking results (1, K); None without new
+        skin.
+
+        `found` (1, N) are the tracking results of the earlier points.
+        """
         if self._full:
             return None
         assert self._new_skin is not None
@@ -224,7 +233,7 @@ class TrackingStage(Stage):
         near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
         every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._seeded), strict=True)))
-        return self._add(image, points, near, found.points[0, near], every.seeded(points))
+        return self._start_tracking(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the result arrays for more points; return whether that was possible, and warn at a limit."""
@@ -258,7 +267,7 @@ class TrackingStage(Stage):
         enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
-    def _where(self) -> NDArray[np.bool_]:
+    def _seeding_region(self) -> NDArray[np.bool_]:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
@@ -282,8 +291,8 @@ class TrackingStage(Stage):
         return region > 0
 
 
-def _in_last_of(frames: int, seeded: FoundPoints) -> FoundPoints:
-    """Extend results (1, N) of points seeded in a batch's last frame to the whole batch; NaN before that frame."""
+def _extend_to_batch(frames: int, seeded: FoundPoints) -> FoundPoints:
+    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
     before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
     for one in before[:3]:
         one[:-1] = np.nan
