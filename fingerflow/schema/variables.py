@@ -405,6 +405,17 @@ SLIP = (
         label="stick ratio d²",
     ),
     Variable(
+        "stuck_ratio_std", FRAME, "1",
+        "standard deviation of stuck_ratio, most of it shared by all frames; NaN if the border was not found",
+        equation="√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
+    ),
+    Variable(
+        "printed_stuck_ratio", FRAME, "1",
+        "d² as Terekhov & Hayward 2011 print it: share of the contact whose skin has moved by less than 40 µm",
+        equation="largest connected share of the gross contact with |u| < slip.stuck_mm",
+        label="stick ratio d² as printed",
+    ),
+    Variable(
         "stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1",
         equation="1 in cells of the largest connected part of the contact that has not slipped (slip.criterion)",
         label="stick region",
