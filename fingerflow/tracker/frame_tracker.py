@@ -326,7 +326,7 @@ class StreamTracker:
 
     def settle(self) -> list[FrameOutcome]:
         """Return the outcomes of the frames that are deferred at the end of the stream."""
-        return self._decided(self._check.settle(), self._begun - 1)
+        return self._decided(self._check.finish(), self._begun - 1)
 
     def _guess(self, index: int, number: int) -> Array | None:
         """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""

@@ -140,6 +140,15 @@ class FrameCheck:
         self._deferred = []
         return result
 
+    def finish(self) -> list[int]:
+        """Return the statuses of frames that are deferred at the end of the stream.
+
+        They do not count, unless too few steps are known to tell what is usual.
+        """
+        few = len(self._steps) < NEARBY
+        statuses = [one.status for one in self._deferred]
+        return statuses if few else self.settle()
+
     def _repeats(self, key: bytes) -> bool:
         same = key in self._keys
         self._same.append(same)
@@ -153,8 +162,7 @@ class FrameCheck:
         self._last = frame
 
     def _is_far(self, frame: _Seen) -> bool:
-        # Fewer steps do not tell what is usual.
-        if self._last is None or len(self._steps) < NEARBY or sum(self._returned) >= _RETURNS:
+        if self._last is None or not self._steps or sum(self._returned) >= _RETURNS:
             return False
         # The motion during frames that were dropped or did not count adds up.
         gap = min(frame.number - self._last.number, LONGEST + 1)
@@ -178,7 +186,8 @@ class FrameCheck:
     def _usual(self) -> Array:
         """Return the squared distance of consecutive frames so far: the longer of the latest and what is `ordinary`."""
         steps = np.stack([*self._steps][-NEARBY:])
-        result: Array = np.maximum(ordinary(steps, axis=0), steps[-1])
+        most = ordinary(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
+        result: Array = np.maximum(most, steps[-1])
         return result
 
     def _known(self) -> Ordinary:

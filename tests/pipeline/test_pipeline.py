@@ -239,7 +239,7 @@ def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> N
 
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")
-    for shown in ("Loading", "Contact", "Deformation", "Quality", "Measured and true"):
+    for shown in ("Loading", "Contact", "Deformation", "Quality", "Measured against true values"):
         assert f"<h2>{shown}" in text, shown
     assert "median divergence" in text
     with av.open(str(tmp_path / "overlay.mp4")) as video:

@@ -93,7 +93,7 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
 
     Points: within three standard deviations of the difference of two estimates, sqrt(2) of the stated one, beside what
     prediction and renewal leave (0.01 px, tests/test_engines_agree.py); nearly all within the latter alone. The median
-    divergence: the worst error that the README states, 1.7 um/mm. A point's: :func:`_divergence_tolerance`.
+    divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). A point's: :func:`_divergence_tolerance`.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
@@ -106,7 +106,7 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
     assert (off[known] <= 0.01 + 3 * 2**0.5 * deviation[known]).all()
     assert np.mean(off[known] > 0.01) < 0.01
     np.testing.assert_allclose(
-        records["median_divergence"][good], clean["median_divergence"][good], rtol=0, atol=1.7e-3
+        records["median_divergence"][good], clean["median_divergence"][good], rtol=0, atol=2.5e-3
     )
     off, known = np.abs(records["divergence"][good] - clean["divergence"][good]), np.isfinite(clean["divergence"][good])
     np.testing.assert_array_equal(np.isfinite(off), known)

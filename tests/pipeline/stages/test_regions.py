@@ -97,7 +97,8 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
     bundle = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
     np.testing.assert_array_equal(stream_settings(load_stream(scene.path), cast(Any, bundle)).region, mask)
     result = process(scene, ["position_px"])
-    x, y = result["position_px"].values[0].round().astype(int).T
+    first = result["position_px"].values[0]
+    x, y = first[np.isfinite(first).all(1)].round().astype(int).T  # others are seeded later, as the contact grows
     assert len(x) > 20
     assert mask[y, x].all()
 
