@@ -1,4 +1,7 @@
-"""A trial of partial slip whose stuck area falls in a straight line, as in the trials of Terekhov & Hayward 2011."""
+"""Synthetic trial of partial slip whose stuck area decreases linearly with the tangential force.
+
+Terekhov & Hayward 2011 measured such a decrease.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cached_property

@@ -19,7 +19,10 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """Curve of a figure: legend name, values and standard deviations (F,) or None in the axis unit, and variable."""
+    """Curve to be drawn: legend text, values (F,) and their standard deviations (F,), and the variable it shows.
+
+    Both are in the unit of the axis; `std` is None without standard deviations.
+    """
 
     name: str
     values: Values

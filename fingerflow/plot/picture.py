@@ -29,7 +29,7 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, only the first of those that cover the same part of the frame."""
+    """Return the names of a scene's views; of views that cover the same part of the frame, only the first."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
@@ -132,7 +132,7 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
-    """Draw the points of a frame at their positions, and lost points at their first-frame positions."""
+    """Draw the points at their positions in a frame; lost points at their positions in the first frame."""
     if "position" not in result:
         return
     name = followed(result)
@@ -156,7 +156,7 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
 
 
 def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
-    """Draw a scale bar of the longest round length up to a quarter of the width, labelled above."""
+    """Draw a labelled scale bar: the longest round length that takes at most a quarter of the image width."""
     fitting = [length for length in _BAR_MM if length / mm_per_px <= _BAR_SHARE * width]
     length = fitting[-1] if fitting else _BAR_MM[0]
     right, y = 0.96 * width, 0.95 * height

@@ -1,4 +1,4 @@
-"""Words for the tracked object of a result in figures: skin and points, or gel and markers."""
+"""Words in figures: "skin" and "points" for a fingertip, "gel" and "markers" for a soft sensor."""
 
 import json
 
@@ -15,7 +15,7 @@ def is_sensor(result: xr.Dataset) -> bool:
 
 
 def followed(result: xr.Dataset) -> str:
-    """Return the name of the tracked objects of a result: "markers" or "points"."""
+    """Return what the tracked points of a result are called in figures: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"
 
 
