@@ -1,4 +1,4 @@
-"""Response time of the page of `fingerflow view` in headless Chromium: first image, and frames per second on scrolling.
+"""Speed of the page of `fingerflow view` in headless Chromium: time to first image, and frame rate of the slider.
 
 Two views of 512 x 640 px with mask, ellipse and 700 points in the colours of their divergence, drawn in software; in
 full of 3,000 frames. By the clock, and in CPU time of server and browser, which says what an idle computer can do:

@@ -224,7 +224,7 @@ def _draw(
 
 
 def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
-    """Return the caption of curves: definition of each variable, meaning of bands, number of frames."""
+    """Return the caption of a figure with curves: definition of each variable, meaning of bands, number of frames."""
     shown = dict.fromkeys(curve.variable for curve in curves)
     said = [f"{title} against {against.partition(' (')[0]}."]
     said += [definition_of(one) for one in map(VARIABLES.__getitem__, shown) if one.long_name != one.words]

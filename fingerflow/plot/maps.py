@@ -15,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.rounding import with_uncertainty
-from fingerflow.plot.wording import said
+from fingerflow.plot.wording import frame_text
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -197,7 +197,7 @@ def _caption(chosen: Quantity, frame: xr.Dataset, limit: float, count: int, tria
     definition = VARIABLES[chosen.variable].long_name
     mean = ", mean of the corners of each triangle" if triangles and not chosen.of_triangles else ""
     return (
-        f"{chosen.title}, {said(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
+        f"{chosen.title}, {frame_text(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
         f"{with_uncertainty(limit)} {chosen.unit}. n = {count} {what}."
     )
 

@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
-from fingerflow.plot.wording import followed, said
+from fingerflow.plot.wording import followed, frame_text
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
@@ -85,7 +85,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     _points(axes, result, frame, matrix)
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"{name.capitalize()} view, {said(one)}")
+    axes.set_title(f"{name.capitalize()} view, {frame_text(one)}")
     _describe(axes, name, one, result)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
@@ -95,7 +95,10 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def _describe(axes: Axes, view: str, frame: xr.Dataset, result: xr.Dataset) -> None:
-    text = f"The {view} view in {said(frame)}. The gross contact is the ellipse of the region which the contact spans."
+    text = (
+        f"The {view} view in {frame_text(frame)}. "
+        "The gross contact is the ellipse of the region which the contact spans."
+    )
     if "position" in result:
         known = int(np.isfinite(frame["position"].values).all(-1).sum())
         text += f" n = {known} {followed(result)} with a position."

@@ -19,7 +19,7 @@ def followed(result: xr.Dataset) -> str:
     return "markers" if is_sensor(result) else "points"
 
 
-def said(frame: xr.Dataset) -> str:
+def frame_text(frame: xr.Dataset) -> str:
     """Return a caption text with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):

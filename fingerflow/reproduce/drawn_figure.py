@@ -51,7 +51,7 @@ class PrintedFigure(Generic[Source]):
     draw: Callable[[Source], Drawn]
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Write the figure as PNG; raise FingerflowError if it cannot be written."""
+        """Draw the reproduced figure and write it as PNG; raise FingerflowError if it cannot be written."""
         figure, shown = self.draw(source)
         if figure is None:
             return DrawnFigure(self.name, self.printed, "", shown)

@@ -79,7 +79,7 @@ def sample_of(frame: Any) -> Sample:
 
 
 def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
-    """Compute all statistics as plain numbers, for `statistics.json` and the page.
+    """Compute all statistics as plain numbers, for `statistics.json` and the HTML report of a study.
 
     - `counted`: numbers of trials, left out by each rule and used.
     - `by_condition`, `by_answer`: an ANOVA of each metric over conditions and over answers, participants being random;

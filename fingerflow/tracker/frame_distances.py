@@ -55,7 +55,7 @@ class PixelSamples(NamedTuple):
 
 
 def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
-    """Return squared distances (n, bands + 2) between n pairs of frames: pattern by band and in all, and light.
+    """Return squared distances (n, bands + 2) between n pairs of frames, in image pattern and in brightness.
 
     The unit is the least distance that counts, 0.01 in pattern and 0.15 in the logarithm of the light.
 

@@ -23,7 +23,7 @@ SquaredDistances = NDArray[Any]
 
 
 class JumpDistances(NamedTuple):
-    """Squared image distances (..., rows) around a possible jump of one to `LONGEST` frames.
+    """Squared image distances (..., rows) between the frames of a possible jump and the frames around it.
 
     Attributes:
         into: of the first of these frames from the frame before them.
@@ -53,7 +53,7 @@ class Ordinary(NamedTuple):
 
     @classmethod
     def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
-        """Estimate both from squared distances (n, rows) of consecutive frames and excesses (m, rows) of frames."""
+        """Estimate noise and limit from squared distances (n, rows) of consecutive frames and excesses (m, rows)."""
         usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
         limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
         return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
@@ -77,7 +77,7 @@ def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
 
 
 def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
-    """Return True if a step from frame to frame is so much longer than usual ones that a jump may begin there.
+    """Return True if the image may jump with a frame: in some row, its step is much longer than usual steps nearby.
 
     Without what is `known` of other frames, by the least excess that may count.
     """

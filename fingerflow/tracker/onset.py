@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Position and time at which the present touch of each of N points began, in F frames; NaN if it does not touch.
+    """Current touch of each of N points in F frames: position and time at which it began; NaN without a touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -66,7 +66,7 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def add_frames(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames in order of time, and return where and when each point's touch began, as of each of them.
+        """Add F frames in order of time, and return for each of them where and when each point's touch began.
 
         Args:
             frames: (F,) numbers of the frames.

@@ -117,7 +117,7 @@ class ContactEnergy:
         return FrameEnergy(float(mean), float(deviation))
 
     def _energy_of_field(self, field: "_Field", turn: Array, axes: Array) -> tuple[float, Array, Array]:
-        """Return the strain energy of a fitted field, its derivative (K, 2) by the coefficients, and Q C (K, K).
+        """Return a field's energy, its gradient (K, 2) in the coefficients, and energy matrix times covariance (K, K).
 
         C is the covariance of the coefficients of a component, and Q that of the energy, a quadratic form in them to
         first order: the trace of Q C is the mean energy of what is left uncertain.

@@ -117,9 +117,7 @@ class StrainStage(Stage):
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
         between_std: torch.Tensor,
     ) -> None:  # fmt: skip
-        """Store strain energies and their deviations for a batch of frames: of the triangles, and of all skin in
-        contact.
-        """
+        """Store strain energies and their deviations for some frames: of the triangles, and of all skin in contact."""
         frames, border = batch.indices, self._border.at(batch.indices)
         position = self.results["position"][frames]
         beside = border_density(
@@ -194,7 +192,7 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return correlations of tracking errors: between corners of triangles (M, 3), and between K near points.
+    """Return correlations of tracking errors: between corners of triangles (M, 3), and in K pairs of near points.
 
     The pairs (K, 2) and their correlations (K,) are the second and third value.
 

@@ -111,7 +111,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
 
     def _cells_without_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flat mask of grid cells, in contact or soon so, that have no tracked point within `far` px.
+        """Return the flat mask of grid cells, in contact now or soon, that have no tracked point within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """

@@ -204,8 +204,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w), and return their tracking results (1, K); None without new
-        skin.
+        """Seed points in skin that has none yet, and return their tracking results (1, K); None without such skin.
 
         `found` (1, N) are the tracking results of the earlier points.
         """
