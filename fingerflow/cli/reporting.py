@@ -72,7 +72,9 @@ def slip(
     trials, failed = [], 0
     for path in scenes:
         try:
-            result = process_scene(load_scene(path), ["stuck_ratio"], quiet=True)
+            result = process_scene(
+                load_scene(path), ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"], quiet=True
+            )
         except FingerflowError as error:
             failed += 1
             typer.echo(f"{path}: not judged: {error}")

@@ -21,6 +21,7 @@ _QUANTITIES = (
     "real_contact_area",
     "contact_area_ratio",
     "stuck_ratio",
+    "printed_stuck_ratio",
     "slip_ratio",
     "median_divergence",
     "median_curl",

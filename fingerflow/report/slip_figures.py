@@ -20,6 +20,7 @@ from fingerflow.plot.captions import describe
 from fingerflow.plot.rounding import with_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
+PRINTED = "moved by less than 40 µm"
 
 
 def draw_motion(
@@ -68,10 +69,16 @@ def draw_trial(
     load_ratio: ArrayLike,
     verdict: TrialVerdict,
     fit: FrictionFit | None = None,
+    printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model."""
+    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model.
+
+    ``printed_area`` is the d^2 of the printed criterion, drawn beside it.
+    """
     area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
-    axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
+    axes.plot(load, area, ".", markersize=3, color=GREY, label="not slipped")
+    if printed_area is not None:
+        axes.plot(load, np.asarray(printed_area, dtype=float), "x", markersize=3, color=YELLOW, label=PRINTED)
     if np.isfinite(verdict.loss_load_ratio):
         edges = verdict.loss_load_ratio * (1 - CORRIDOR), verdict.loss_load_ratio * (1 + CORRIDOR)
         axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
@@ -121,10 +128,25 @@ def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVe
     )
 
 
-def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
-    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip."""
+def draw_over_time(
+    axes: Axes,
+    time: ArrayLike,
+    stuck_area: ArrayLike,
+    verdict: TrialVerdict,
+    area_std: ArrayLike | None = None,
+    printed_area: ArrayLike | None = None,
+) -> Axes:
+    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip.
+
+    ``area_std`` draws a band of one standard deviation, ``printed_area`` the d^2 of the printed criterion.
+    """
     when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
-    axes.plot(when, area, color=INK, linewidth=1)
+    axes.plot(when, area, color=INK, linewidth=1, label="not slipped")
+    if area_std is not None and np.isfinite(area_std).any():
+        spread = np.asarray(area_std, dtype=float)
+        axes.fill_between(when, area - spread, area + spread, color=INK, alpha=0.15, linewidth=0, label="± 1 deviation")
+    if printed_area is not None:
+        axes.plot(when, np.asarray(printed_area, dtype=float), "--", color=YELLOW, linewidth=1, label=PRINTED)
     collapses = _draw_collapse(axes, when, area, verdict)
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")

@@ -121,8 +121,9 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
         position, one = np.asarray(result["position"]), result.isel(frame=frame)
         draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
-        draw_trial(middle, area, load, verdict, trial.fit)
-        draw_over_time(right, result["time"], area, verdict)
+        printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
+        draw_trial(middle, area, load, verdict, trial.fit, printed)
+        draw_over_time(right, result["time"], area, verdict, deviation, printed)
     captions = captions_of(parts)
     captions[0] += f" At {float(result['time'][frame]):.2f} s, the end of slow loading."
     describe(figure, "\n".join((f"Trial {verdict_line(replace(trial, name=trial.words))}.", *captions)))

@@ -318,7 +318,8 @@ SCENE: dict[str, SceneKey | SceneTable] = {
                 "displacement below stuck_mm, as in the paper; or that relative to the rigid motion of the skin that "
                 "sticks",
                 default="border"),
-            "stuck_mm": SceneKey(POSITIVE, "limit of the criteria displacement and relative; the paper has 0.04",
+            "stuck_mm": SceneKey(POSITIVE, "limit of the criteria displacement and relative, and of "
+                "printed_stuck_ratio; the paper has 0.04",
                 default=0.04),
             "displacement": SceneKey(Choice(("points", "dense_flow")), "of tracked points, or of all skin by dense "
                 "flow, compared with the points", default="points"),

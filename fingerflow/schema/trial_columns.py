@@ -51,7 +51,7 @@ AT_MOMENTS = (
     AtMoments("strain", "median_strain", "median strain along the major axis that the gross contact has at its maximum",
               has_std=True, label="longitudinal strain"),
     AtMoments("strain_across", "median_strain", "median strain across that axis", has_std=True),
-    AtMoments("strain_energy", "strain_energy", "strain energy of all skin in contact", has_std=True),
+    AtMoments("strain_energy", "strain_energy", "strain energy of the whole contact", has_std=True),
     AtMoments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
     AtMoments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
     AtMoments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),

@@ -222,7 +222,7 @@ TRACKING = (
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement. The attribute ``reference`` of a variable states it for this result.
-SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
+SINCE = "of points in contact since fields.reference, by default since each touched"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
@@ -381,7 +381,7 @@ STRAIN = (
     ),
     Variable(
         "strain_energy_between_points", FRAME, "mJ",
-        "strain energy of the skin in triangles between points in contact, less that of noise",
+        "strain energy in triangles between points in contact, less that of noise",
         equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
     ),
     Variable(
@@ -403,6 +403,17 @@ SLIP = (
         "stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
         equation="d² = stuck share of the gross contact's area",
         label="stick ratio d²",
+    ),
+    Variable(
+        "stuck_ratio_std", FRAME, "1",
+        "standard deviation of stuck_ratio, most of it shared by all frames; NaN if the border was not found",
+        equation="√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
+    ),
+    Variable(
+        "printed_stuck_ratio", FRAME, "1",
+        "d² as Terekhov & Hayward 2011 print it: share of the contact whose skin has moved by less than 40 µm",
+        equation="largest connected share of the gross contact with |u| < slip.stuck_mm",
+        label="stick ratio d² as printed",
     ),
     Variable(
         "stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1",

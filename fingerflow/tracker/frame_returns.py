@@ -238,6 +238,8 @@ def _far_at_end(
     Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
     result = np.zeros(len(distances), dtype=bool)
+    if len(distances) <= NEARBY:  # too few steps to know what is usual
+        return result
     last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])

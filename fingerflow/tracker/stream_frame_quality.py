@@ -153,7 +153,8 @@ class FrameCheck:
         self._last = frame
 
     def _is_far(self, frame: _Seen) -> bool:
-        if self._last is None or not self._steps or sum(self._returned) >= _RETURNS:
+        # Fewer steps do not tell what is usual.
+        if self._last is None or len(self._steps) < NEARBY or sum(self._returned) >= _RETURNS:
             return False
         # The motion during frames that were dropped or did not count adds up.
         gap = min(frame.number - self._last.number, LONGEST + 1)
@@ -177,8 +178,7 @@ class FrameCheck:
     def _usual(self) -> Array:
         """Return the squared distance of consecutive frames so far: the longer of the latest and what is `ordinary`."""
         steps = np.stack([*self._steps][-NEARBY:])
-        most = ordinary(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
-        result: Array = np.maximum(most, steps[-1])
+        result: Array = np.maximum(ordinary(steps, axis=0), steps[-1])
         return result
 
     def _known(self) -> Ordinary:

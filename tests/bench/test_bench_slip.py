@@ -3,27 +3,32 @@
 import pytest
 
 from bench.rows import Cell, number
+from bench.slip_trials import LAWS
 from bench.suites import slip
 
 pytestmark = pytest.mark.long
 
 
-def test_two_trials_of_each_kind() -> None:
-    """All verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""
-    total, *rows, straight, first, second = slip.run(quick=True)
-    assert (total["trial"], total["verdict"], total["found"]) == ("all", "0 wrong, 0 none, 2 right", "of 2")
-    assert (straight["trial"], straight["verdict"]) == ("linear, all", "0 wrong, 0 none, 2 right")
-    assert [row["trial"] for row in rows] == ["100", "101"]
-    assert [row["trial"] for row in (first, second)] == ["linear, 100", "linear, 101"]
-    for row in (*rows, first, second):
+def test_a_trial_of_each_law_and_curve() -> None:
+    """All verdicts are right, d² is known in every frame; the power follows the law; the deviation of d² is true."""
+    rows = slip.run(quick=True)
+    groups, trials = {str(row["trial"]): row for row in rows[:8]}, rows[8:]
+    assert list(groups) == ["all", *slip.CURVES, *LAWS]
+    assert groups["all"]["verdict"] == "0 wrong, 0 none, 10 right"
+    for row in trials:
         assert row["unknown"] == 0
         assert "critical" in str(row["why"])
-        assert number(row, "within_002") > 90
-        assert number(row, "worst") < 0.05
-    for row in (first, second):
-        assert abs(number(row, "critical_found") - number(row, "critical")) < 0.04
-        assert abs(number(row, "duration_error")) < 0.04
-    assert number(total, "worst") == max(number(row, "worst") for row in rows)
+        assert number(row, "worst") < 0.1
+        assert number(row, "z") < 1.6
+        assert number(row, "rms_40_um") < 0.03
+    assert number(groups["all"], "within_2") > 90
+    powers = [number(groups[law], "power") for law in ("x ln 1/x", "x^1", "x^1.5", "x^2")]
+    assert powers == sorted(powers)
+    assert powers == pytest.approx([0.85, 1, 1.5, 2], abs=0.2)
+    # By 40 um d² is larger, the more so the slower slip begins.
+    printed = [number(groups[law], "bias_40_um") for law in ("x ln 1/x", "x^1", "x^1.5", "x^2")]
+    assert printed == sorted(printed)
+    assert number(groups["all"], "worst") == max(number(row, "worst") for row in trials)
 
 
 def test_trials_of_seeds_differ_and_come_back() -> None:
@@ -44,21 +49,25 @@ def row(name: str, verdict: str, frames: int, unknown: float, within: float | No
         **ratios,
     }
     worst = None if within is None else 0.1
+    of_area = dict.fromkeys(
+        ("power", "bias", "rms", "z", "within_1", "within_2", "bias_40_um", "worst_40_um", "rms_40_um", "critical_z"),
+        0.5,
+    )
     return {
         "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True, "as_printed": False,
-        "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
+        "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, "by_40_um": False,
+        "duration_error": None, **of_area, **errors,
     }  # fmt: skip
 
 
 def test_rows_are_counted() -> None:
-    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all; the
-    wrong ones come first."""
+    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all."""
     rows = [
         row("1", "right", 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
         row("2", "wrong", 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),
         row("3", "none", 50, 100.0, None),
     ]
-    total, *rest = slip.summed(rows)
+    total = slip.summed(rows, "all")
     assert (total["verdict"], total["found"], total["frames"]) == ("1 wrong, 1 none, 1 right", "of 3", 200)
     assert (total["by_area"], total["by_model"], total["as_printed"]) == (2, 3, 0)
     assert total["ratio_bound"] == pytest.approx(0.04)
@@ -67,4 +76,3 @@ def test_rows_are_counted() -> None:
     assert total["within_002"] == pytest.approx(100 * 100 / 125)
     assert (total["worst"], total["ratio_error"], total["fit_error"]) == (0.1, 50.0, None)
     assert total["cpu_s"] == 6
-    assert [one["trial"] for one in rest] == ["2", "3", "1"]

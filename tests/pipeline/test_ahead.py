@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from fingerflow.pipeline.run import _ahead
+from fingerflow.pipeline.run import _compute_ahead
 
 
 def test_results_come_in_order_and_one_is_under_way() -> None:
@@ -18,12 +18,12 @@ def test_results_come_in_order_and_one_is_under_way() -> None:
             second.set()
         return 10 * number
 
-    results = _ahead(act, range(5))
+    results = _compute_ahead(act, range(5))
     assert next(results) == 0
     assert second.wait(60)
     assert begun == [0, 1]
     assert list(results) == [10, 20, 30, 40]
-    assert list(_ahead(act, [])) == []
+    assert list(_compute_ahead(act, [])) == []
 
 
 def test_an_error_comes_after_the_results_before_it() -> None:
@@ -32,7 +32,7 @@ def test_an_error_comes_after_the_results_before_it() -> None:
             raise OSError("frame 2 is damaged")
         return number
 
-    results = _ahead(act, range(5))
+    results = _compute_ahead(act, range(5))
     assert [next(results), next(results)] == [0, 1]
     with pytest.raises(OSError, match="frame 2"):
         next(results)

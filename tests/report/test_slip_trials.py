@@ -122,10 +122,10 @@ def test_trials_of_one_name_have_figures_of_their_own(tmp_path: Path) -> None:
 
 
 def test_a_verdict_survives_the_disk(slip_trials: Path, tmp_path: Path) -> None:
-    result = process(load_scene(slip_trials / "fading" / "scene.toml"), ["stuck_ratio"])
+    result = process(load_scene(slip_trials / "fading" / "scene.toml"), ["stuck_ratio", "stuck_ratio_std"])
     save_result(result, tmp_path / "result.h5")
     trial, again = (SlipTrial.of(some, "one") for some in (result, load_result(tmp_path / "result.h5")))
-    series = (result[name].values for name in ("stuck_ratio", "load_ratio", "time"))
+    series = (result[name].values for name in ("stuck_ratio", "load_ratio", "time", "stuck_ratio_std"))
     expected = judge_trial(*series)
     for found in (trial, again):
         assert isinstance(found.verdict, TrialVerdict)

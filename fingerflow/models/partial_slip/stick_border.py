@@ -1,22 +1,28 @@
 """Border of a contact's stick region, fitted to displacement that tracking windows or dense flow have blurred.
 
-Skin and its strain are continuous, so beside the stick region the displacement begins as k x^p, with x the distance
-from the border. On an elastic half-space, whose tractions begin with a square root, p is 3/2 (Cattaneo 1938, Mindlin
-1949). Skin on an elastic bed with bounded tractions has p = 2. One trial's data do not tell which p holds, so p is
-taken as 7/4. Either extreme changes the level below by a quarter to a third, and d^2 by about 0.03.
+Beside the stick region, at a distance x from the border, the displacement is k g(x),
+
+    g(x) = (x^2 + a^2)^(p / 2) - a^p.
+
+On an elastic half-space, whose tractions begin with a square root, p is 3/2 and a is 0 (Cattaneo 1938, Mindlin
+1949). Skin on an elastic bed with bounded tractions has p = 2. Where friction jumps at the border (mu_s > mu_k), the
+half-space has x ln(1/x), close to x^0.85 over the distances of the fit. A rounding a smaller than a window is hardly
+visible, and moves the border. So p, between 3/4 and 2, and a are fitted, and what they leave open is a deviation. A
+fixed p of 7/4 has twice the error over such laws; a normal prior on p changes it little (`docs/methods/slip.md`).
 
 A tracked point shows the mean over its window, so windows that reach across the border move before their
 centre does. At the border they show the level
 
-    k E[max(xi, 0)^p - max(xi - w, 0)^p],
+    k E[g(max(xi, 0)) - g(max(xi - w, 0))],
 
 xi the positions in the window along the border's normal, w the width of the slipping annulus. Beyond the contact
 nothing holds the skin, which moves as its rim does. Displacement below that level counts as stick. A fixed threshold
 (40 um in Terekhov & Hayward 2011) also counts skin that has slipped by less. Dense flow shows less at the border,
-because its support is smaller and it is regularised; its response to x^p is measured
-(`pipeline.stages.slip.flow_resolution`).
+because its support is smaller and it is regularised; its response is measured
+(`pipeline.stages.slip.flow_resolution`). The blur is linear, so the response to a ramp gives that to any g.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,85 +30,142 @@ import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
-#: Measured (blurred) value, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside.
+#: Measured (blurred) displacement, mm, of a ramp, max(x, 0), at distances x of any shape in mm, negative inside.
 Seen = Callable[[Values], Values]
 
-POWER = 1.75  # p
+POWERS = np.arange(0.75, 2.01, 0.125)  # candidates for p
+ROUNDINGS = np.array([0, 0.25, 0.5, 0.75, 1, 1.25])  # candidates for a, half windows
+_KNOTS = np.linspace(0, 1, 81) ** 2  # of the ramps that make up g, as shares of the distances where it is needed
+_BLUR_MM = 1.0  # beyond a distance, within which displacement is seen there: more than a window
 
 _SAMPLES = 24  # along each side of a window
+_PLACES = 96  # means of neighbouring samples, by their distance from the border
 _ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # between border and window, 0 to 45 degrees
 _FEWEST = 8  # distances with a displacement
+_FREE = 5  # power, rounding, position, growth and base
 
 
 class BorderFit(NamedTuple):
     """Fitted border of a stick region: position, and growth of the displacement beyond the border.
 
     Attributes:
-        growth: k: displacement is k x^p mm at a distance of x mm beyond the border, p = `POWER`.
-        offset: mm, position of the border on the scale of the distances.
+        power: p; `power_std`, its standard deviation.
+        rounding: a, mm.
+        growth: k: displacement is k g(x) mm at a distance of x mm beyond the border.
+        offset: mm, position of the border on the scale of the distances; `offset_std`, its standard deviation.
         base: mm, measured displacement of skin that has not moved.
-        error: mm, root mean square residual of the fit.
+        error: mm, root mean square residual of the best candidate.
     """
 
+    power: float
+    power_std: float
+    rounding: float
     growth: float
     offset: float
+    offset_std: float
     base: float
     error: float
 
+    def shown(self, distance: Values, seen: Seen) -> Values:
+        """Return the measured displacement, mm, at distances (K,) mm beyond the border, without the base."""
+        return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
+
+    def grown(self, displacement: float) -> float:
+        """Return the distance, mm, over which the displacement grows to the given one, mm."""
+        reached = (displacement / self.growth + self.rounding**self.power) ** (2 / self.power)
+        return math.sqrt(max(reached - self.rounding**2, 0.0))
+
 
 def window_places(half_window: float) -> Values:
-    """Return the distances (K,) mm of a square window's pixels from its centre, along the normal of a border.
+    """Return sorted offsets (K,) mm along the normal of a border, each of as many pixels of a square window.
 
-    They are pooled over several directions of the border.
-
-    The positions are sorted.
+    They are pooled over directions of the border.
     """
     side = half_window * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     across, along = np.cos(_ANGLES)[:, None, None] * side, np.sin(_ANGLES)[:, None, None] * side[:, None]
-    return np.asarray(np.sort((across + along).ravel()))
+    return np.asarray(np.sort((across + along).ravel()).reshape(_PLACES, -1).mean(1))
 
 
-def seen_displacement(distance: Values, half_window: float) -> Values:
-    """Return the mean over windows, at distances (K,) mm from a border, of a displacement x^p at x mm beyond it.
+def seen_ramp(distance: Values, half_window: float) -> Values:
+    """Return the mean over windows, at distances in mm from a border, of a displacement of max(x, 0) at x mm beyond it.
 
     A distance is negative on the side that sticks.
     """
     places = window_places(half_window)
-    return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
+    at = np.linspace(-2 * half_window, 2 * half_window, 400)
+    means = np.maximum(at[:, None] + places, 0).mean(1)
+    return np.asarray(np.where(distance > at[-1], distance, np.interp(distance, at, means)))
 
 
-def border_level(width: Values, growth: float, seen: Seen) -> Values:
+def border_level(width: Values, fit: BorderFit, seen: Seen) -> Values:
     """Return the displacement (K,), mm, measured at a stick border inside a slipping annulus (K,) mm wide."""
-    return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
+    return np.asarray(fit.shown(np.zeros(1), seen) - fit.shown(-np.maximum(width, 0), seen))
 
 
-def fit_border(distance: Values, displacement: Values, weight: Values, seen: Seen, step: float) -> BorderFit | None:
-    """Fit the position of the border at which a blurred displacement begins.
+def fit_border(
+    distance: Values, displacement: Values, weight: Values, seen: Seen, half_window: float
+) -> BorderFit | None:
+    """Fit the position of the border at which a blurred displacement begins, and the law by which it does.
 
-    Weighted least squares in k and the base, which enter linearly, at each candidate position of the border.
+    k and the base follow by weighted least squares for each candidate of position, power and rounding. Means and
+    deviations are taken over the candidates, with weights exp(-chi^2 / 2); the least chi^2 is scaled to its degrees of
+    freedom where it exceeds them.
 
     Args:
         distance: (K,) mm from some contour of the displacement, positive on the side that sticks.
         displacement: (K,) mm along the slip, a mean over points at this distance.
         weight: (K,) inverse variance of the displacement.
-        seen: the blur, as `seen_displacement`.
-        step: mm between candidate positions.
+        seen: the blur, as `seen_ramp`.
+        half_window: mm; candidate positions are a fiftieth of it apart.
 
     Returns:
-        The candidate with the least error; None if the displacement does not grow, or at fewer than eight distances.
+        None if the displacement does not grow, or at fewer than eight distances.
     """
     if len(distance) < _FEWEST:
         return None
-    root = np.sqrt(weight / weight.mean())
+    step = half_window / 50
     offsets = np.arange(distance.min(), distance.max(), step)
-    best: BorderFit | None = None
-    for offset in offsets:
-        shape = seen(offset - distance)
-        if shape.max() <= 0:
-            continue
-        matrix = np.stack((shape, np.ones_like(shape)), 1) * root[:, None]
-        found, _, rank, _ = np.linalg.lstsq(matrix, displacement * root, rcond=None)
-        left = float(np.sqrt(np.mean((matrix @ found - displacement * root) ** 2)))
-        if rank == 2 and found[0] > 0 and (best is None or left < best.error):
-            best = BorderFit(float(found[0]), float(offset), float(found[1]), left)
-    return best
+    powers, roundings = (one.ravel() for one in np.meshgrid(POWERS, half_window * ROUNDINGS, indexing="ij"))
+    at = np.arange(offsets[0] - distance.max(), offsets[-1] - distance.min() + step, step)
+    squared = np.full((powers.size, offsets.size), np.inf)
+    for row, values in zip(squared, _blurred(at, powers, roundings, seen), strict=True):
+        growth, _, chi = _lines(np.interp(offsets[:, None] - distance, at, values), displacement, weight)
+        row[:] = np.where(growth > 0, chi, np.inf)
+    least = float(squared.min())
+    if not np.isfinite(least):
+        return None
+    likely = np.exp((least - squared) / 2 / max(1.0, least / (len(distance) - _FREE)))
+    likely[roundings > 0] /= len(ROUNDINGS) - 1  # as probable together as none
+    likely /= likely.sum()
+    (power, power_std), (rounding, _), (offset, offset_std) = (
+        _mean_and_deviation(values, likely.sum(axis)) for values, axis in ((powers, 1), (roundings, 1), (offsets, 0))
+    )
+    shape = _blurred(offset - distance, np.array([power]), np.array([rounding]), seen)
+    growth, base, _ = _lines(shape, displacement, weight)
+    error = math.sqrt(least / float(weight.sum()))
+    return BorderFit(power, power_std, rounding, float(growth[0]), offset, offset_std, float(base[0]), error)
+
+
+def _blurred(distance: Values, powers: Values, roundings: Values, seen: Seen) -> Values:
+    """Return measured values (L, K) of g for L powers and roundings, at distances (K,) mm beyond the border."""
+    # Ramps from knots add up to g, linear in between; the first knots are close, where a small power bends most.
+    knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
+    p, a = powers[:, None], roundings[:, None]
+    law = (knots**2 + a**2) ** (p / 2) - a**p
+    bends = np.diff(np.diff(law) / np.diff(knots), prepend=0.0)
+    return np.asarray(bends @ seen(distance - knots[:-1, None]))
+
+
+def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:
+    """Fit values (K,) by a multiple of each shape (C, K) and a constant; return both (C,), and chi^2 (C,)."""
+    share = weight / weight.sum()
+    mean, level = shapes @ share, float(values @ share)
+    apart, rest = shapes - mean[:, None], values - level
+    spread = apart**2 @ weight
+    growth = np.where(spread > 0, apart @ (weight * rest) / np.where(spread > 0, spread, 1), 0)
+    return growth, level - growth * mean, (rest - growth[:, None] * apart) ** 2 @ weight
+
+
+def _mean_and_deviation(values: Values, weights: Values) -> tuple[float, float]:
+    mean = float(values @ weights)
+    return mean, math.sqrt(float((values - mean) ** 2 @ weights))

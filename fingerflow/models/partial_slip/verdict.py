@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
-from fingerflow.models.partial_slip.collapse import fit_collapse
+from fingerflow.models.partial_slip.collapse import Collapse, fit_collapse
 from fingerflow.models.partial_slip.evolution import friction_ratio
 from fingerflow.models.partial_slip.fit import frame_noise
 
@@ -92,7 +92,9 @@ class TrialVerdict:
         return slice(0, self.collapse_frame + 1)
 
 
-def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -> TrialVerdict:
+def judge_trial(
+    stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, area_std: ArrayLike | None = None
+) -> TrialVerdict:
     """Decide by three rules whether the stuck area of a trial shrinks to a minimal area and then vanishes abruptly.
 
     `outcome` assumes no friction law. `fit_collapse` finds the d^2 at which the stuck area stops following the load and
@@ -115,6 +117,8 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
         stuck_area: (F,) d^2 per frame: stuck area over contact area. NaN where it was not measured.
         load_ratio: (F,) T/N. NaN where there are no forces, as after the end of their file.
         time: (F,) s, increasing.
+        area_std: (F,) standard deviation of d^2 that all frames share. It adds to the deviations of the critical area
+            and of the rate; NaN adds nothing.
 
     Raises:
         ValueError: the arrays differ in length or have more than one dimension, or the time does not increase.
@@ -170,14 +174,21 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
         return replace(found, reason=f"{gap:.2f} s without d² or T/N inside the corridor, over {_LARGEST_GAP_S:g} s")
     if not np.isfinite(load[: run[0]]).any():
         return replace(found, reason="T/N is inside the corridor from the first frame on: no loading was recorded")
-    return _judged(found, area, load, when, run)
-
-
-def _judged(found: TrialVerdict, area: Values, load: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
-    loss = found.loss_frame
     collapse = fit_collapse(area, load, when, loss)
     if collapse is None:
         return replace(found, reason="too few frames about the complete loss have d² and T/N")
+    if area_std is not None:
+        shared = np.nan_to_num(np.interp(collapse.begin, when, np.asarray(area_std, dtype=np.float64)))
+        collapse = replace(
+            collapse,
+            area_std=math.hypot(collapse.area_std, shared),
+            rate_std=math.hypot(collapse.rate_std, shared * collapse.rate / max(collapse.area, _LEAST_ZERO)),
+        )
+    return _judged(found, collapse, area, when, run)
+
+
+def _judged(found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
+    loss = found.loss_frame
     largest = float(area[run].max())
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
     critical, evidence = collapse.area, collapse.evidence

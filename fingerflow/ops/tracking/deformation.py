@@ -59,17 +59,14 @@ def correct_points(
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
     expected, gradient = neighbour_planes(start, points - start, gauge_px, support)
-    _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
     # From here on components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
-    second = second.flatten(2).mT
-    laplacian = second[:, ::4] + second[:, 3::4]
+    bulge = _bulge(start, gradient, window, gauge_px, support)
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
     warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
     matrices = (one.unflatten(1, (2, 2)) for one in (warp, inverse_warp.flatten(2).mT.contiguous()))
     unknown = products(*matrices).flatten(1, 2) - identity
     of = numbers.mT.contiguous()
     leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
-    bulge = _or_zero(laplacian) * ((window**2 - 1) / 24)
     return CorrectedPoints(
         points - (leaning + bulge).mT,
         _without_deformation_residual(covariance, of, unknown, window),
@@ -77,6 +74,23 @@ def correct_points(
         window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt(),
         start + expected,
     )
+
+
+def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: float) -> Tensor:
+    """Return what `correct_points` subtracts from displacements for their variation within a window, px (K, N, 2).
+
+    Displacements are (K, N, 2) px, of points at (1 or K, N, 2) px. Their sum with the result is again what the windows
+    show: the mean displacement over each of them. It is 0 where the neighbours do not determine it.
+    """
+    _, gradient = neighbour_planes(start, displacement, gauge_px)
+    return _bulge(start, gradient, window, gauge_px, None).mT
+
+
+def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:
+    """Return the mean second-order displacement over windows, px (K, 2, N), from gradients (K, N, 2, 2)."""
+    _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
+    second = second.flatten(2).mT
+    return _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)
 
 
 def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:

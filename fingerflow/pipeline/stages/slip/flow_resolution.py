@@ -6,7 +6,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.models.partial_slip.stick_border import POWER
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
 
 _INSIDE = 0.4  # share of the mask inside the simulated border
@@ -20,12 +19,12 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures near a slip border, if skin has moved by x^p at x mm beyond the border.
+    """Displacement that dense flow measures near a slip border, beyond which skin has moved by a ramp.
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
-    displaced by x^p beyond a border, along x and along y, and the flow is computed. The noise of the picture moves with
-    it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px would,
-    and overshoots a little beside it.
+    displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
+    with it, so that only the blur remains. On the synthetic trials the flow shows at the border what windows of 8 px
+    would, and overshoots a little beside it.
 
     Args:
         template: of ``image``.
@@ -38,21 +37,21 @@ class FlowResponse:
         depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
         beyond = (border - depth).astype(np.float32)  # px beyond the border
-        growth = _LARGEST_PX / border**POWER
-        length = (growth * np.maximum(beyond, 0) ** POWER).astype(np.float32)
+        growth = _LARGEST_PX / border
+        length = (growth * np.maximum(beyond, 0)).astype(np.float32)
         distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
         found = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
         known = np.isfinite(found)
         blur = found[known] / growth
-        self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
+        self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the displacement in mm^p that the flow measures at signed distances (K,) mm beyond the slip border.
+        """Return the displacement, mm, that the flow measures at signed distances in mm beyond the slip border.
 
         Farther inside than was measured it is 0; farther outside the error is that of the last measured distance.
         """
         blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
-        return np.asarray(np.maximum(distance, 0) ** POWER + blur)
+        return np.asarray(np.maximum(distance, 0) + blur)
 
 
 def _blur(

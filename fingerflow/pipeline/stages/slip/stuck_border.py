@@ -12,13 +12,18 @@ from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 
+_LARGEST_MM = 0.08  # level at the border, above which it is lost in the displacement beside it
 FOLLOWED_MM = 0.02  # displacement of the contour along which displacements are averaged: far above their noise
 _FEWEST_SLIPPED = 5  # slipping points of a frame for the direction of slip
 _HELD_SHARE = 0.25  # of the limit, below which points are held by the glass
 _FEWEST_HELD = 3  # points for the fit of a rigid motion
 _LEAST_INSIDE = 0.1  # share of the contact within the contour: leaves space for windows that do not reach it
 _BINS_A_WINDOW = 14
-_FROM, _TO = -0.36, 3.5  # range of the fit in half windows from the contour, negative outside
+_FROM, _TO = -2.0, 3.5  # range of the fit in half windows from the contour, negative outside
+_APART = 0.5  # half windows, least distance of points and contour from the rim, where windows show less than the law
+_SMOOTHED = 0.3  # half windows, standard deviation of the smoothing of the contour
+_PLACE_STD = 0.15  # half windows: error of the border on rendered trials of several laws, beyond what the fit shows
+_SHARED = 0.25  # of the noise of a point: error of displacement that the points along a border share
 _DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
 _LEAST_POINTS = 20  # in a bin
 _MOST_POINTS = 400  # largest count in the weight of a bin: points are not independent
@@ -32,8 +37,9 @@ class StuckBorder:
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
     of slip is averaged over all frames by their distance from the contour, which leaves a noise of a tenth of a
-    micrometre. The fit finds where this displacement begins, as it is measured (`models.partial_slip.stick_border`). It
-    gives the level measured at the border; the stick region of a frame is where displacement is below it.
+    micrometre. The fit finds where this displacement begins, as it is measured, and by which law
+    (`models.partial_slip.stick_border`). It gives the level measured at the border; the stick region of a frame is
+    where displacement is below it.
 
     Args:
         grid: of the contact.
@@ -74,15 +80,16 @@ class StuckBorder:
         if slipped.sum() < _FEWEST_SLIPPED:
             return
         contact = self._grid.fine_mask(region & self._grid.known)
-        still = self._grid.fine(np.linalg.norm(displacement, axis=-1)) < FOLLOWED_MM
+        along = moved[slipped].sum(0)
+        direction = along / np.linalg.norm(along)
+        still = self._smoothed(displacement @ direction.astype(np.float32)) < FOLLOWED_MM
         inside, outside = contact & still, contact & ~still
         if inside.sum() < _LEAST_INSIDE * contact.sum() or not outside.any():
             return
-        along = moved[slipped].sum(0)
-        direction = along / np.linalg.norm(along)
         self._direction += along
         depth = self._grid.at_points(np.where(inside, _distance(outside), -_distance(inside))) * self._grid.fine_mm
-        used = np.isfinite(length) & (self._grid.at_points(contact) > 0)
+        to_rim = self._grid.at_points(_distance(~contact)) * self._grid.fine_mm
+        used = np.isfinite(length) & (to_rim - np.maximum(depth, 0) > _APART * self._half)
         component = moved @ direction
         bins = np.digitize(depth[used], self._edges) - 1
         counted = (bins >= 0) & (bins < len(self._count))
@@ -93,6 +100,27 @@ class StuckBorder:
         self._deep_count += int(deep.sum())
         self._deep_sum += moved[deep].sum(0)
         self._deep_squares += float((component[deep] ** 2).sum())
+
+    def _smoothed(self, component: Field) -> Field:
+        """Return a smoothed displacement component on the fine grid: noise of the contour would shorten distances."""
+        known, width = (
+            self._grid.fine_mask(self._grid.known).astype(np.float32),
+            _SMOOTHED * self._half / self._grid.fine_mm,
+        )
+        total, share = (cv2.GaussianBlur(one, (0, 0), width) for one in (self._grid.fine(component) * known, known))
+        return np.asarray(total / np.maximum(share, 1e-6))
+
+    @property
+    def place_std(self) -> float:
+        """Return the standard deviation, mm, of the border's position in all frames; NaN where it is not found.
+
+        It is that of the fit, that of the model, and the distance over which slip grows to the error that the points
+        of a border share.
+        """
+        if self.fit is None:
+            return math.nan
+        hidden = self.fit.grown(_SHARED * self.noise)
+        return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
 
     @property
     def followed(self) -> float:
@@ -109,17 +137,18 @@ class StuckBorder:
         mean = self._sum[filled] / count
         spread = np.sqrt(np.maximum(self._squares[filled] / count - mean**2, _LEAST_SPREAD_MM**2))
         middle = ((self._edges[1:] + self._edges[:-1]) / 2)[filled]
-        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half / 50)
+        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half)
         if self.fit is None:
             self.reason = "no frames show a stuck part with slipping skin around it"
             return
-        self._of_width = border_level(self._widths, self.fit.growth, self._seen)
+        self._of_width = border_level(self._widths, self.fit, self._seen)
         level = float(self._of_width[-1])
-        if level >= FOLLOWED_MM:
+        if level >= _LARGEST_MM:
             self.reason = (
-                f"beside the stuck part displacement grows by {self.fit.growth:.2g} mm over the first mm, so steeply "
+                f"beside the stuck part displacement grows so steeply, by {self.fit.growth:.2g} mm over the first mm, "
                 f"that what is seen over {2 * self._half:.2f} mm shows {1000 * level:.0f} µm at its border"
             )
+            self.fit = None
             return
         self.level = level
 
@@ -128,7 +157,7 @@ class StuckBorder:
         contact = self._grid.fine_mask(region)
         inside = contact & self._grid.fine_mask(self._grid.known)
         length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
-        if self.level == FOLLOWED_MM or self.fit is None:
+        if self.fit is None:
             return np.asarray(inside & (length < FOLLOWED_MM))
         slipped = displacement[region & self._grid.known & (np.linalg.norm(displacement, axis=-1) > FOLLOWED_MM)]
         along = slipped.sum(0) if len(slipped) else self._direction
@@ -141,7 +170,7 @@ class StuckBorder:
         first = int(np.argmax(levels >= at_border)) if (levels >= at_border).any() else len(levels) - 1
         width = radius * (1 - math.sqrt(min(float(share[first]), 1)))
         clear, beyond = self._clear(float(levels[first]), width)
-        held = inside & (length < FOLLOWED_MM)
+        held = inside & (length < max(FOLLOWED_MM, self.followed))
         slow = held & (component < clear)
         # The low levels are those of a narrow annulus at the rim. A hole that does not reach the rim is no annulus:
         # below the level of a wide one it is noise.
@@ -157,7 +186,7 @@ class StuckBorder:
         """
         assert self.fit is not None
         at = np.linspace(0, width / 2, 100)
-        shown = np.maximum.accumulate(self.fit.growth * (self._seen(at) - self._seen(at - width)))
+        shown = np.maximum.accumulate(self.fit.shown(at, self._seen) - self.fit.shown(at - width, self._seen))
         clear = min(self._above * self.noise, float(shown[-1]))
         if not clear > level:
             return level, 0.0
