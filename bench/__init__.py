@@ -1,1 +1,1 @@
-"""Speed against error: this project beside its peers, in one process on the same cores."""
+"""Benchmarks of speed and accuracy: this project and other libraries, in one process on the same cores."""

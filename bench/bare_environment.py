@@ -1,4 +1,4 @@
-"""Virtual environments like those of a lab PC: few packages, and none of the others that are installed here."""
+"""Virtual environments with few packages, like those of a lab PC that only runs the player."""
 
 import os
 import shutil

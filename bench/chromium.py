@@ -1,4 +1,4 @@
-"""The browser that shows pages: Playwright's own Chromium, or the system's."""
+"""Chromium browser for benchmarks of web pages: Playwright's own, or the system's."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Skin all over the contact of a scene, and its strain energy by formulas: the truth of quantities by area."""
+"""True area-based quantities and strain energy of a synthetic scene, by formulas on a dense grid of skin points."""
 
 import numpy as np
 import torch

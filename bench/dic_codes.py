@@ -1,4 +1,4 @@
-"""Measure two codes for digital image correlation on the pairs of pictures of `speed_against_error`.
+"""Measure two digital image correlation programs (al-dic, pyvale) on the image pairs of `speed_against_error`.
 
 Both ask for opencv-python, which installs its own cv2 over the one that serves here, and Qt, pyvale for VTK too: they
 are installed in an environment of their own. The suite reads their figures from dic_codes.json.

@@ -1,4 +1,4 @@
-"""The machine, versions and threads that a measurement belongs to."""
+"""Description of the machine, library versions and threads with which a benchmark ran."""
 
 import os
 import platform

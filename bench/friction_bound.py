@@ -1,4 +1,4 @@
-"""Cramer-Rao bound of mu_k / mu_s from the d²(T/N) of a trial of partial slip."""
+"""Cramer-Rao bound of the friction ratio mu_k / mu_s, as estimated from stuck area against load ratio of a trial."""
 
 from typing import NamedTuple
 

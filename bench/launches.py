@@ -1,4 +1,4 @@
-"""Count of the calls of an accelerator in a step of a graph, without an accelerator.
+"""Count the device operations in one step of a graph; this needs no accelerator.
 
 The module runs on tensors with shapes and types but no values (torch's device `meta`). An operation that reads a value,
 or mixes such tensors with tensors of the host, would make the host wait. An operation that is no view counts as one

@@ -1,4 +1,4 @@
-"""Contact mask of a frame with OpenCV, as a user without this project would write it."""
+"""Contact mask of a frame with OpenCV alone, as a user without this project would compute it."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Pipeline from frames to contact and strain with OpenCV, NumPy and SciPy, the best that we could write.
+"""Pipeline from frames to contact and strain with OpenCV, NumPy and SciPy, for comparison with `fingerflow.process`.
 
 Every choice was the one with the least error against the truth among those tried on the simulated press:
 

@@ -1,4 +1,4 @@
-"""Simulated recordings on disk, and what `process` makes of them."""
+"""Simulated recordings on disk, and their results from `fingerflow.process`."""
 
 import tempfile
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Rows of named cells, the results of a suite, and their printed table."""
+"""Rows of benchmark results with named columns, and their printed table."""
 
 from collections.abc import Mapping, Sequence
 

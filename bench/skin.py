@@ -1,4 +1,4 @@
-"""Pictures of skin with known motion, and the Cramer-Rao bound of measuring it."""
+"""Synthetic skin images with known motion, and the Cramer-Rao bound of tracking errors in them."""
 
 from collections.abc import Callable
 from functools import lru_cache

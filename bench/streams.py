@@ -1,4 +1,4 @@
-"""The player of a bundle as a separate process, as a lab PC runs it."""
+"""Run the player of an exported bundle as a separate process, as on a lab PC."""
 
 import json
 import subprocess

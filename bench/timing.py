@@ -1,4 +1,4 @@
-"""Times of alternative calls, measured in turns so that other work on the machine slows all alike."""
+"""Compare the run times of several functions, called in turns so that other load on the machine slows all alike."""
 
 import statistics
 import time

@@ -1,4 +1,4 @@
-"""This project's tracker and OpenCV's behind one call: forward, backward, acceptance."""
+"""Common interface to the trackers of this project and of OpenCV, with forward-backward check and acceptance."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Dense optical flow read at the points, beside the trackers: does a vector for every pixel serve as well?
+"""Accuracy of dense optical flow sampled at the tracked points, compared with point trackers.
 
 Skin of 256 x 320 px (smaller with --quick) at a noise of 2 grey levels, all corners on whole pixels at least 24 px
 inside, where a dense flow is read without interpolation. Motions: 0.35 px or 5 px for all pixels alike, and a wave, a

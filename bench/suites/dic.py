@@ -1,4 +1,4 @@
-"""Displacement and strain of the DIC Challenge's sample 14, whose truth nobody on this project made.
+"""Errors of displacement and strain on sample 14 of the DIC Challenge, whose true values are published.
 
 A real speckle pattern (589 x 2048 px, 8 bit) displaced along x by 0.1 px sin(phase), the phase running faster and
 faster with x; L1, L3 and L5 are one, three and five times as fast, the half wave falling to 310, 87 and 50 px; v = 0.

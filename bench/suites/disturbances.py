@@ -1,4 +1,4 @@
-"""Errors of disturbed recordings: the shipped press with default settings and faults as they occur in a lab.
+"""Errors of the results when a simulated press has faults that occur in a lab; default settings.
 
 300 frames of two 512 x 640 px views (24 small ones with --quick), disturbed before the camera adds its noise: in the
 middle of the recording the finger jumps by 5 px between two frames and stays there; the light of one view or of both

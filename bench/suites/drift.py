@@ -1,4 +1,4 @@
-"""A hundred frames of skin that spreads and moves slowly: errors that add up, and errors that do not.
+"""Accumulation of tracking errors over a hundred frames of skin that spreads and moves slowly.
 
 Noise of 2 grey levels, window 21 px. The skin moves by up to 14 px, spreads by up to 4 % and turns by 0.02 rad. From
 frame to frame every position is the start of the next step: its error is a random walk. With a keyframe every frame is

@@ -1,4 +1,4 @@
-"""Dense flow on skin: an error for every pixel, and the divergence that follows from it.
+"""Errors of dense optical flow on skin at every pixel, and of the divergence computed from it.
 
 Views of 480 x 640 px (smaller with --quick), 8 bit, noise of 2 grey levels; a smooth field of up to 1.6 px, four waves
 of 200 to 400 px. `whorl` is the skin of the other suites, one direction of ridges in most places, 15 px apart; `ridges`

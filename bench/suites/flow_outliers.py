@@ -1,4 +1,4 @@
-"""Dense flow where least squares is not what the data ask for: quadratic and robust penalties, and peers.
+"""Errors of dense flow at motion edges and under dust: quadratic and robust penalties, and other libraries.
 
 Ridges and whorl of the suite `flow`, 320 x 400 px, 8 bit, noise of 2 grey levels. `jump`: inside an ellipse skin is
 stuck, outside it slips by 0.5 or 1.5 px along x; what then hides behind the ellipse is left out. `dust`: 300 specks of

@@ -1,4 +1,4 @@
-"""From friction to pictures and back: the divergence of the skin chain, rendered, and measured by `process`.
+"""Error of the measured divergence of the skin-chain model, rendered to images and measured by `fingerflow.process`.
 
 A press of 5 N to a contact of 30 mm², the paper's chain turned about its axis, 96 frames of two 512 x 640 px views at
 100 a second (60 of 288 x 288 px with --quick), noise of 2 grey levels, default settings (gauge length 1.6 mm). All

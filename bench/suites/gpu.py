@@ -1,4 +1,4 @@
-"""The graphs on a graphics processor: eager, captured and compiled, one frame or the frames of several recordings.
+"""Run time of the graphs on a GPU: eager, captured and compiled, for one frame or for frames of several recordings.
 
 `contact` is `ContactGraph` on frames of a press in full contact, `key` is `KeyGraph` on 700 points of skin, `tracking`
 is `TrackGraph` on its templates and skin moved by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points;

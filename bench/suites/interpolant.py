@@ -1,4 +1,4 @@
-"""Interpolants of tracking: a smoothed cubic spline against an exact one (`fingerflow/ops/filters/spline.py`).
+"""Tracking errors with different image interpolants: smoothed or exact cubic spline, and bilinear.
 
 The same Lucas-Kanade, forward only, by Newton's steps, on four interpolants: bilinear on the pixels as they are;
 bilinear on pixels smoothed once by [1 2 1]/4 each way; the cubic spline that passes through the pixels, which takes an

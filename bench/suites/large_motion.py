@@ -1,4 +1,4 @@
-"""Two frames of skin that moved by several pixels: points found, and points accepted although they are wrong.
+"""Tracking over displacements of several pixels: share of points found, and share of wrong points accepted.
 
 Window 21 px, noise of 2 grey levels, up to 700 corners, four directions of each distance; a point is accepted if it
 returns within 0.5 px when it is tracked back. `wrong` is the share of all points that are accepted and lie more than

@@ -1,4 +1,4 @@
-"""The shipped press and slide as `fingerflow simulate` writes them: `process`, and each recipe of `export/` played.
+"""Compare `process` with the exported recipes in the player, on a simulated press and a simulated slide.
 
 The player gets the scene as it is, and so measures the threshold while the contact grows, where `process` takes that of
 the frame with most of it. Both choose points in `[stream] region`, as many as their settings say. Differences are the

@@ -1,4 +1,4 @@
-"""Exported graphs in ONNX Runtime on the processor: time and error of each setting of a recipe.
+"""Time and error of exported graphs in ONNX Runtime on the CPU, for each setting of a recipe.
 
 One 512 x 640 view of a simulated press, 8 bit, noise of 2 grey levels, hot and dead pixels; ONNX Runtime with as many
 threads as torch. `contact` goes from frame to areas, ellipse and threshold; its peer is OpenCV's way from the frame to

@@ -1,4 +1,4 @@
-"""A whole recording, from frames on disk to areas, tracks and strain: `fingerflow.process` beside OpenCV.
+"""Time and errors of a whole recording, from frames to areas, tracks and strain: `fingerflow.process` and OpenCV.
 
 The simulated press of `make demo` in 60 frames of two 512 x 640 px views (a small one of 24 with --quick), 20 px of
 motion, noise of 2 grey levels. Both pipelines read the same file and do the same work: light divided by that of the

@@ -1,5 +1,6 @@
-"""Start-up and memory of the player as a lab PC runs it: `python -m fingerflow.player` of an exported bundle, where
-numpy and onnxruntime are installed and torch is not.
+"""Start-up time and memory of the player on a lab PC: with numpy and onnxruntime, without torch.
+
+The command is `python -m fingerflow.player` of an exported bundle.
 
 Each recipe of `export/` plays the synthetic source, two 512 x 640 views. `start_s` runs from the start of the process
 to the first record on the disk; pages of libraries are in the system's cache after the first of `starts` runs, whose

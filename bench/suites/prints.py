@@ -1,4 +1,4 @@
-"""Errors of `process` on skins like prints: synthetic ones (loop, whorl, arch) and pictures of real fingers.
+"""Errors of `process` on fingerprint patterns: synthetic ones (loop, whorl, arch) and images of real fingers.
 
 The press of `make demo`, 300 frames of two 512 x 640 px views (a small one of 40 with --quick), with the skin of the
 row; `rings` is that of the demo. Noise of 2 grey levels, default settings, errors against the exact truth:

@@ -1,4 +1,4 @@
-"""The recordings of a study on a graphics processor: one by one, and together (`process_together`).
+"""Processing time of the recordings of a study on a GPU: one by one, and together (`process_together`).
 
 Presses of other skin motion each, from files to results in memory, all outputs; 64 frames, two views of 512 x 640 px
 and 700 points (9 frames of 96 x 120 px with --quick). `calls` are the operations of torch a frame, views and mere

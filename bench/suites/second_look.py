@@ -1,4 +1,4 @@
-"""Verification of tracked points: the share of wrong points that it finds, and of right points that it drops.
+"""Detection of wrongly tracked points: share of wrong points found, and share of right points rejected.
 
 Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
 ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;

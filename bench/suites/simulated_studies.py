@@ -1,4 +1,4 @@
-"""Twenty simulated studies processed from pictures: are d', area under the ROC and criterion those of their design?
+"""Errors of d', area under the ROC and criterion over twenty simulated studies that are processed from images.
 
 A study is a `fingerflow.study.simulated_trials.Design`: 8 participants, 7 amplitudes, a comparison press each, of 4 to
 9 N, in views of 418 px at 20 frames a second; default settings otherwise. An observer feels the divergence, another the

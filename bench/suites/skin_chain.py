@@ -1,4 +1,6 @@
-"""The skin chain: 50 ms of a press of 3 N at mu = 0.6, 501 elements, the lab's parameters (41 and 5 ms with --quick).
+"""Run time and error of the skin-chain model: the first 50 ms of a press at 3 N and a friction coefficient of 0.6.
+
+The chain has 501 elements and the lab's parameters (41 elements and 5 ms with --quick).
 
 `error_um` is the largest error of a place at the end against steps of a tolerance 1,000 times smaller. Ways: TR-BDF2 of
 `models.skin_chain`, compiled and portable, at several tolerances in m; one press and 100 values of friction, to rest;

@@ -1,4 +1,4 @@
-"""Partial slip on random rendered trials: the stuck share d² in every frame, the verdict, and mu_k / mu_s.
+"""Errors of stuck area d², verdict and friction ratio mu_k / mu_s on random rendered trials of partial slip.
 
 A trial a seed: mu_s of 0.5 to 1.5, contacts of 4.8 to 5.9 mm in views of 256 x 304 px, a rim that creeps by 0.15 to 0.3
 of a semi-axis, camera noise of 1 to 3 grey levels, force noise of 5 to 30 mN, 60 frames a second for 1.6 to 2.4 s.

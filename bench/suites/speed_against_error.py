@@ -1,4 +1,4 @@
-"""Time of a tracked point against its error at a noise of 2 grey levels: pairs of frames, recordings and streams.
+"""Time per tracked point against tracking error, for image pairs, recordings and streams with noise of 2 grey levels.
 
 Skin of 512 x 640 px and 700 points (fewer with --quick), anywhere within a pixel. us_per_point is one call for all
 points over points and frames, and time_to_peer is over OpenCV's with 1 level at 21 px. over_bound is the RMS error over

@@ -1,5 +1,6 @@
-"""Errors of medians and energy over their stated deviations: presses at several frame rates, `process` with default
-settings, truth by formulas.
+"""Errors of medians and energy divided by their stated standard deviations, on presses at several frame rates.
+
+The results are those of `process` with default settings; the true values come from formulas.
 
 The fewer frames a second, the more is missing before the first frame that shows contact. Eight presses a rate, of which
 skin, noise and the moment of the first contact within a frame differ: an error of onset stays to the end, so that all

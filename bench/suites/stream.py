@@ -1,4 +1,6 @@
-"""The player on a synthetic camera: two 512 x 640 views, on the processor, every frame computed and written.
+"""Frame rate and latency of the player on the CPU, with a synthetic camera that has two views of 512 x 640 px.
+
+Every frame is computed and its results are written.
 
 Each recipe of `export/` is played from its bundle, without torch, by the compiled library (`native`) and by ONNX
 Runtime (`onnx`), as fast as it goes, with ONNX Runtime one frame after the other and two beside each other (the option

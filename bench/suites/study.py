@@ -1,4 +1,4 @@
-"""Many recordings, from files to results and a table of trials: `fingerflow study` beside a loop over OpenCV.
+"""Run time of a study of many recordings, from files to a table of trials: `fingerflow study` and a loop over OpenCV.
 
 40 recordings of the simulated press, 300 frames of two 512 x 640 px views each (4 of 24 small frames with --quick).
 They are one recording on disk under as many names, so that pages of files come from memory for both. All outputs are

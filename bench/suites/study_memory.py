@@ -1,4 +1,4 @@
-"""Growth of the memory of a worker of `fingerflow study` over many small recordings.
+"""Memory growth of a worker process of `fingerflow study` over many small recordings.
 
 1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
 which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many

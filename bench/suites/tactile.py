@@ -1,4 +1,4 @@
-"""Markers of real soft sensors, tracked with default settings, against spots that OpenCV finds in each frame alone.
+"""Tracking of markers of real soft sensors with default settings, compared with spots found by OpenCV in each frame.
 
 The clips are those of a folder `shared/data/tactile` beside the checkout, which is no part of this project.
 

@@ -1,4 +1,4 @@
-"""Two frames of skin that moved by less than a pixel: this project's tracker beside OpenCV's.
+"""Time and error of tracking skin between two frames that moved by less than a pixel: this project and OpenCV.
 
 Window 21 px, 700 corners (fewer with --quick), 8-bit frames of 512 x 640 px; the skin moved by (s, 0.7 s) for the shift
 s. `start` says whether points lie on whole pixels, as corners of a keyframe do, or anywhere, as in tracking from frame

@@ -1,7 +1,9 @@
-"""The page of `fingerflow view` in a headless Chromium on this computer: how soon the first picture is there, and how
-many frames a second follow the slider. Two views of 512 x 640 px with mask, ellipse and 700 points in the colours of
-their divergence, drawn in software; in full of 3,000 frames. By the clock, and in CPU time of server and browser,
-which says what an idle computer can do: divided by its cores it is the time that a frame takes at least."""
+"""Speed of the page of `fingerflow view` in headless Chromium: time to first image, and frame rate of the slider.
+
+Two views of 512 x 640 px with mask, ellipse and 700 points in the colours of their divergence, drawn in software; in
+full of 3,000 frames. By the clock, and in CPU time of server and browser, which says what an idle computer can do:
+divided by its cores it is the time that a frame takes at least.
+"""
 
 import tempfile
 import time

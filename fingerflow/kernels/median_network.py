@@ -135,7 +135,7 @@ def _ranks(size: int, count: int) -> tuple[int, int]:
 
 
 class _Network:
-    """Comparisons of planes of a tile grid; equal comparisons are computed once, in one plane."""
+    """Sorting network for the median: minimum and maximum operations on whole arrays, each computed only once."""
 
     def __init__(self, rows: int, columns: int) -> None:
         self.rows, self.columns = rows, columns

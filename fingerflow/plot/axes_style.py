@@ -48,7 +48,7 @@ def new_figure(height: float) -> Figure:
 
 
 def given_or_new(axes: Axes | None, height: float = 0.72) -> Axes:
-    """Return the given axes, or new axes in a figure whose height is `height` times its width."""
+    """Return the axes given, or else axes in a new figure whose height is `height` times its width."""
     return new_figure(height).subplots() if axes is None else axes
 
 
@@ -80,7 +80,7 @@ def legend_below(part: Figure | SubFigure, axes: Axes) -> None:
 
 
 def finished(axes: Axes, caption: str = "") -> Axes:
-    """Add a light grid, a legend if any line has a label, and a caption to axes, and return the axes."""
+    """Add a light grid, a legend (if any line has a label) and a caption to axes, and return the axes."""
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False)

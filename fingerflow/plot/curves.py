@@ -19,7 +19,10 @@ _FEW = 60  # frames: fewer are drawn as dots
 
 
 class _Curve(NamedTuple):
-    """Curve of a figure: legend name, values and standard deviations (F,) or None in the axis unit, and variable."""
+    """Curve to be drawn: legend text, values (F,) and their standard deviations (F,), and the variable it shows.
+
+    Both are in the unit of the axis; `std` is None without standard deviations.
+    """
 
     name: str
     values: Values
@@ -221,7 +224,7 @@ def _draw(
 
 
 def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
-    """Return the caption of curves: definition of each variable, meaning of bands, number of frames."""
+    """Return the caption of a figure with curves: definition of each variable, meaning of bands, number of frames."""
     shown = dict.fromkeys(curve.variable for curve in curves)
     said = [f"{title} against {against.partition(' (')[0]}."]
     said += [definition_of(one) for one in map(VARIABLES.__getitem__, shown) if one.long_name != one.words]

@@ -92,7 +92,7 @@ PNG = FigureFiles()  #: each figure as PNG, in its own width
 
 
 def settle(figure: Figure) -> None:
-    """Wrap long titles and labels of a figure, then fix its layout, so that later drawing does not change it."""
+    """Wrap long titles and labels of a figure, then fix its layout, so that it stays the same when drawn again."""
     layout = figure.get_layout_engine()
     if layout is None:
         return

@@ -15,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.rounding import with_uncertainty
-from fingerflow.plot.wording import said
+from fingerflow.plot.wording import frame_text
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -27,7 +27,7 @@ _MARGIN_MM = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity that a map shows: title, variable of the result, and how to compute it from that variable.
+    """Quantity that a map shows: title, variable of the result, and function that computes it from that variable.
 
     Attributes:
         title: of the map.
@@ -138,14 +138,14 @@ def field_map(
         colours = axes.scatter(used[:, 0], used[:, 1], c=values[dots], s=14, **scale)
     else:
         axes.text(0.5, 0.5, "not known in this frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
-        _frame(axes, outline)
+        _set_limits(axes, outline)
         return finished(axes)
     colours.set_rasterized(True)  # thousands of triangles make a small file only as pixels
     if quantity == "displacement":
         _arrows(axes, one, chosen.title)
     elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
         _directions(axes, one, shown, corners, minor=quantity == "minor_strain")
-    _frame(axes, used if outline is None else np.concatenate((used, outline)))
+    _set_limits(axes, used if outline is None else np.concatenate((used, outline)))
     most = float(np.nanmax(np.abs(values)))
     beyond = "neither" if most <= limit else "both" if chosen.signed else "max"
     whole_figure = axes.get_figure(root=True)
@@ -197,7 +197,7 @@ def _caption(chosen: Quantity, frame: xr.Dataset, limit: float, count: int, tria
     definition = VARIABLES[chosen.variable].long_name
     mean = ", mean of the corners of each triangle" if triangles and not chosen.of_triangles else ""
     return (
-        f"{chosen.title}, {said(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
+        f"{chosen.title}, {frame_text(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
         f"{with_uncertainty(limit)} {chosen.unit}. n = {count} {what}."
     )
 
@@ -205,7 +205,7 @@ def _caption(chosen: Quantity, frame: xr.Dataset, limit: float, count: int, tria
 def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
     position, moved = frame["position"].values, frame["displacement"].values
     known = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(moved).all(1))
-    known = known[_spread(position[known], _ARROWS)]
+    known = known[_select_spread(position[known], _ARROWS)]
     length = np.linalg.norm(moved[known], axis=1)
     long = float(np.quantile(length, 0.95)) if len(known) else 0.0
     if long <= 0:
@@ -226,15 +226,18 @@ def _directions(
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
-    some = some[_spread(middle[some], _DIRECTIONS)]
+    some = some[_select_spread(middle[some], _DIRECTIONS)]
     spacing = float(np.sqrt(np.prod(np.maximum(np.ptp(middle[some], axis=0), 0.1)) / max(len(some), 1)))
     half = spacing / 2 * np.stack((np.cos(angle[some]), np.sin(angle[some])), 1)
     lines = np.stack((middle[some] - half, middle[some] + half), 1)
     axes.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.7), autolim=False)
 
 
-def _spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Return indices of about `most` evenly spread positions, one in each grid cell, nearest to its centre."""
+def _select_spread(places: Values, most: int) -> NDArray[np.intp]:
+    """Select about `most` evenly spread positions, and return their indices.
+
+    Of each cell of a grid, the position nearest to the centre is selected.
+    """
     if len(places) <= most:
         return np.arange(len(places))
     low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
@@ -246,8 +249,8 @@ def _spread(places: Values, most: int) -> NDArray[np.intp]:
     return np.sort(order[first])
 
 
-def _frame(axes: Axes, places: Values | None) -> None:
-    """Set the axis limits of a map around positions, with y pointing down."""
+def _set_limits(axes: Axes, places: Values | None) -> None:
+    """Set the axis limits of a map so that it includes all positions (N, 2) mm, with y pointing down."""
     if places is not None:
         low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))

@@ -1,4 +1,4 @@
-"""Return outlines of contact and stick region in one frame, in mm on the glass or in px of a view."""
+"""Outlines of contact and stick region in one frame, in mm on the glass or in px of a view."""
 
 import json
 import math
@@ -13,7 +13,7 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 
 def contact_outline(frame: xr.Dataset) -> Values | None:
-    """Return points (K, 2) on the ellipse of the apparent contact, mm; None without contact."""
+    """Return K points (K, 2) mm on the ellipse around the apparent contact; None without contact."""
     known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
     if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None
@@ -24,7 +24,7 @@ def contact_outline(frame: xr.Dataset) -> Values | None:
 
 
 def stuck_outline(frame: xr.Dataset) -> Values | None:
-    """Return the longest outline (K, 2) of the stick region, through cell centres; None without a stick region."""
+    """Return the longest outline (K, 2) mm of the stick region, through grid-cell centres; None without one."""
     if "stuck_region" not in frame:
         return None
     region = frame["stuck_region"]

@@ -24,7 +24,7 @@ def panel_letter(number: int) -> str:
 
 
 def row_of_panels(count: int, width_mm: float, height: float = 1.05) -> tuple[Figure, Sequence[SubFigure]]:
-    """Return a figure with lettered panels in a row, or in a column if each would be narrower than 50 mm in a row.
+    """Return a figure with lettered panels in a row, or in a column where panels in a row would be under 50 mm wide.
 
     Args:
         count: of panels.

@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
-from fingerflow.plot.wording import followed, said
+from fingerflow.plot.wording import followed, frame_text
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
@@ -29,7 +29,7 @@ _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's views, only the first of those that cover the same part of the frame."""
+    """Return the names of a scene's views; of views that cover the same part of the frame, only the first."""
     if "camera" in scene.views:
         return ("camera",)
     return ("topography", "contact") if scene.views.topography is not None else ("contact",)
@@ -85,7 +85,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     _points(axes, result, frame, matrix)
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"{name.capitalize()} view, {said(one)}")
+    axes.set_title(f"{name.capitalize()} view, {frame_text(one)}")
     _describe(axes, name, one, result)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
@@ -95,7 +95,10 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
 
 def _describe(axes: Axes, view: str, frame: xr.Dataset, result: xr.Dataset) -> None:
-    text = f"The {view} view in {said(frame)}. The gross contact is the ellipse of the region which the contact spans."
+    text = (
+        f"The {view} view in {frame_text(frame)}. "
+        "The gross contact is the ellipse of the region which the contact spans."
+    )
     if "position" in result:
         known = int(np.isfinite(frame["position"].values).all(-1).sum())
         text += f" n = {known} {followed(result)} with a position."
@@ -132,7 +135,7 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
-    """Draw the points of a frame at their positions, and lost points at their first-frame positions."""
+    """Draw the points at their positions in a frame; lost points at their positions in the first frame."""
     if "position" not in result:
         return
     name = followed(result)
@@ -156,7 +159,7 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
 
 
 def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
-    """Draw a scale bar of the longest round length up to a quarter of the width, labelled above."""
+    """Draw a labelled scale bar: the longest round length that takes at most a quarter of the image width."""
     fitting = [length for length in _BAR_MM if length / mm_per_px <= _BAR_SHARE * width]
     length = fitting[-1] if fitting else _BAR_MM[0]
     right, y = 0.96 * width, 0.95 * height

@@ -20,7 +20,7 @@ def with_uncertainty(value: float, spread: float = math.nan) -> str:
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return "value (low to high)" with two significant digits of half the interval; without it the value alone.
+    """Return "value (low to high)" rounded to two digits of half the interval's width; without interval, the value.
 
     >>> with_interval(0.8312, 0.7344, 0.9018)
     '0.831 (0.734 to 0.902)'

@@ -1,4 +1,4 @@
-"""Words for the tracked object of a result in figures: skin and points, or gel and markers."""
+"""Words in figures: "skin" and "points" for a fingertip, "gel" and "markers" for a soft sensor."""
 
 import json
 
@@ -15,11 +15,11 @@ def is_sensor(result: xr.Dataset) -> bool:
 
 
 def followed(result: xr.Dataset) -> str:
-    """Return the name of the tracked objects of a result: "markers" or "points"."""
+    """Return what the tracked points of a result are called in figures: "markers" or "points"."""
     return "markers" if is_sensor(result) else "points"
 
 
-def said(frame: xr.Dataset) -> str:
+def frame_text(frame: xr.Dataset) -> str:
     """Return a caption text with number, time and normal force of a frame."""
     words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
     if "normal_force" in frame and np.isfinite(frame["normal_force"]):

@@ -20,7 +20,7 @@ from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_sty
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import views_of
-from fingerflow.plot.wording import followed, is_sensor, said
+from fingerflow.plot.wording import followed, frame_text, is_sensor
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
@@ -275,7 +275,7 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
                 make.drawn(
                     plot.field_map(result, name, one.frame, limit=limits[name]),
                     f"map-{name}-{one.frame}",
-                    f"{plot.QUANTITIES[name].title}, {said(result.isel(frame=one.frame))}",
+                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=one.frame))}",
                 )
                 for name in there
             ],

@@ -1,1 +1,1 @@
-"""Reproduction of both papers from simulated recordings: every printed number and figure beside what is obtained."""
+"""Reproduction of both papers from simulated recordings: each printed result next to the reproduced one."""

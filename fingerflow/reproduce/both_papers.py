@@ -1,4 +1,4 @@
-"""Run of the reproduction: simulate, measure, compare with print, draw, write the page."""
+"""Run the reproduction: simulate recordings, measure them, compare with the printed results, write figures and page."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ _ABOUT_PRESSES = (
 
 
 def reproduce(folder: Path, papers: Sequence[str] = tuple(TITLES), quick: bool = False, progress: bool = True) -> Path:
-    """Reproduce papers in a folder, and return the page of all that were reproduced there.
+    """Reproduce one or both papers in a folder, and return the path of the HTML page with all results in that folder.
 
     Recordings that exist and trials that are measured are kept.
 

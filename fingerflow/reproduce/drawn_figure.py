@@ -1,4 +1,4 @@
-"""Figures and movies of the reproduction: what the papers show, and the file that shows the same."""
+"""Figures and movies of the papers, and the reproduced ones as files."""
 
 import io
 from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +27,10 @@ _WIDE = 9.0  # inches of such a strip
 
 @dataclass(frozen=True)
 class DrawnFigure:
-    """A figure of the page: what is printed, its file ("" without one), what it shows or why it is missing, a movie."""
+    """Reproduced figure or movie of the page: name, what the printed one shows, file names, and own caption.
+
+    `file` is empty if nothing was drawn: `shown` then says why. `movie` is empty for a figure.
+    """
 
     name: str
     printed: str
@@ -38,7 +41,7 @@ class DrawnFigure:
 
 @dataclass(frozen=True)
 class PrintedFigure(Generic[Source]):
-    """A printed figure: its name ("2b", "S11"), what it shows in print, and how it is drawn.
+    """Figure of a paper: its number ("2b", "S11"), what it shows, and the function that draws the reproduced one.
 
     `draw` returns the figure and what it shows here, a line a panel; None in place of a figure where nothing is drawn.
     """
@@ -48,7 +51,7 @@ class PrintedFigure(Generic[Source]):
     draw: Callable[[Source], Drawn]
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Write the figure as PNG; raise FingerflowError if it cannot be written."""
+        """Draw the reproduced figure and write it as PNG; raise FingerflowError if it cannot be written."""
         figure, shown = self.draw(source)
         if figure is None:
             return DrawnFigure(self.name, self.printed, "", shown)
@@ -57,7 +60,7 @@ class PrintedFigure(Generic[Source]):
 
 @dataclass(frozen=True)
 class PrintedMovie(Generic[Source]):
-    """A printed movie: its name, what it shows in print, how its frames are drawn and how often each is repeated.
+    """Movie of a paper: its number, what it shows, the function that draws the reproduced frames, and their repeats.
 
     `draw` returns the frames and what they show here.
     """
@@ -68,7 +71,7 @@ class PrintedMovie(Generic[Source]):
     repeated: int
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Write the movie as MP4 into the folder `movies` beside, and some of its frames as PNG.
+        """Write the movie as MP4 into the folder `movies` next to `folder`, and a still image of some frames as PNG.
 
         Raises FingerflowError if one cannot be written.
         """
@@ -84,7 +87,7 @@ class PrintedMovie(Generic[Source]):
 
 
 def _strip(pictures: list[Picture]) -> Figure:
-    """Return some frames of a movie: side by side where they are high, else one above the other."""
+    """Return a figure with three frames of a movie: in a row if they are tall, else in a column."""
     chosen = [pictures[at] for at in np.linspace(0, len(pictures) - 1, _STILLS).round().astype(int)]
     height, width = chosen[0].shape[:2]
     beside = height > 0.8 * width
@@ -98,7 +101,7 @@ def _strip(pictures: list[Picture]) -> Figure:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 256 colours, a third of the size of the full one."""
+    """Write a figure as PNG with 256 colours, which has a third of the file size of full colour; return its path."""
     settle(figure)
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=_DPI)

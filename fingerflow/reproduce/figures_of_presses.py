@@ -44,8 +44,8 @@ def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
     return figure, "\n".join((shown, *captions))
 
 
-def _of_table(study: PressStudy, name: str, sources: Sources | None = None) -> list[SheetPanel]:
-    """Return the panels of a figure of the supplement that the table of trials and models give."""
+def _supplement_panels(study: PressStudy, name: str, sources: Sources | None = None) -> list[SheetPanel]:
+    """Return the panels of a figure of the supplement that are drawn from the table of trials and from models."""
     return list(SHEETS[name](sources or study.sources).panels)
 
 
@@ -61,9 +61,9 @@ def _count(study: PressStudy) -> str:
 
 def _friction_and_area(study: PressStudy) -> Drawn:
     trials = study.sample.trials
-    at_3n = {area: study.of_answered(f"{area}_at_3n") for area in ("gross_contact_area", "real_contact_area")}
+    at_3n = {area: study.column_of_sample(f"{area}_at_3n") for area in ("gross_contact_area", "real_contact_area")}
     sources = replace(study.sources, trials=replace(trials, metrics={**trials.metrics, **at_3n}))
-    panels = _of_table(study, "S1", sources)
+    panels = _supplement_panels(study, "S1", sources)
     panels += [_curve(study, "C", "gross_contact_area"), _curve(study, "E", "real_contact_area")]
     high, low = study.typical
     moments = [(force, high.frame_at(force), low.frame_at(force)) for force in _FORCES_N]
@@ -90,14 +90,14 @@ def _stages(study: PressStudy) -> Drawn:
 
 
 def _half_sphere(study: PressStudy) -> Drawn:
-    return _sheet("S4", _of_table(study, "S4"), "From the closed form.")
+    return _sheet("S4", _supplement_panels(study, "S4"), "From the closed form.")
 
 
 def _kinematics(study: PressStudy) -> Drawn:
     high, _ = study.typical
     one = SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes))
     return _sheet(
-        "S5", [one, *_of_table(study, "S5")],
+        "S5", [one, *_supplement_panels(study, "S5")],
         f"Of the study, {_count(study)}; the chain's panels are of the model alone.",
     )  # fmt: skip
 
@@ -111,7 +111,7 @@ def _decomposition(study: PressStudy) -> Drawn:
 
 
 def _displacement_and_angle(study: PressStudy) -> Drawn:
-    return _sheet("S7", _of_table(study, "S7"), f"Of the study, {_count(study)}.")
+    return _sheet("S7", _supplement_panels(study, "S7"), f"Of the study, {_count(study)}.")
 
 
 def _strain(study: PressStudy) -> Drawn:
@@ -124,7 +124,7 @@ def _strain(study: PressStudy) -> Drawn:
         SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
         SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
         SheetPanel.of_axes("F", draw_curves, study.rate_curves, "strain_rate"),
-        *[panel for panel in _of_table(study, "S8") if panel.letter[0] in "GHI"],
+        *[panel for panel in _supplement_panels(study, "S8") if panel.letter[0] in "GHI"],
     ]
     return _sheet(
         "S8", panels,
@@ -139,7 +139,7 @@ def _strain_energy(study: PressStudy) -> Drawn:
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         _curve(study, "B", "strain_energy"),
         SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
-        *[panel for panel in _of_table(study, "S9") if panel.letter[0] in "DE"],
+        *[panel for panel in _supplement_panels(study, "S9") if panel.letter[0] in "DE"],
     ]
     return _sheet(
         "S9",
@@ -149,15 +149,17 @@ def _strain_energy(study: PressStudy) -> Drawn:
 
 
 def _depth(study: PressStudy) -> Drawn:
-    return _sheet("S10", _of_table(study, "S10"), "The skin chain with the stiffness that gives the printed area, 3 N.")
+    return _sheet(
+        "S10", _supplement_panels(study, "S10"), "The skin chain with the stiffness that gives the printed area, 3 N."
+    )
 
 
 def _observer(study: PressStudy) -> Drawn:
-    return _sheet("S11", _of_table(study, "S11"), f"Of the study, {_count(study)}; intervals are of 95 %.")
+    return _sheet("S11", _supplement_panels(study, "S11"), f"Of the study, {_count(study)}; intervals are of 95 %.")
 
 
 def _groups(study: PressStudy) -> Drawn:
-    return _sheet("S12", _of_table(study, "S12"), f"Of the study, {_count(study)}.")
+    return _sheet("S12", _supplement_panels(study, "S12"), f"Of the study, {_count(study)}.")
 
 
 def _curl(study: PressStudy) -> Drawn:
@@ -165,7 +167,7 @@ def _curl(study: PressStudy) -> Drawn:
     panels = [
         SheetPanel.of_axes("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
         _curve(study, "B", "curl"),
-        *[panel for panel in _of_table(study, "S13") if panel.letter == "C"],
+        *[panel for panel in _supplement_panels(study, "S13") if panel.letter == "C"],
     ]
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
@@ -175,7 +177,7 @@ def _no_photographs(_: PressStudy) -> Drawn:
 
 
 def _triangulated(part: SubFigure, press: TypicalPress) -> None:
-    """Draw both views at the largest force, with the triangles of the tracked points over the ridges."""
+    """Draw both views at the largest force, the topographic view with the triangles between the tracked points."""
     left, right = part.subplots(2, 1)
     show(left, view_of(press.scene, "contact", press.peak))
     show(right, view_of(press.scene, "topography", press.peak))
@@ -202,7 +204,7 @@ def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None
 
 
 def _processed_frames(study: PressStudy) -> Iterator[Picture]:
-    """Yield the frames of movie M1: both conditions side by side at the same force, with points and displacements."""
+    """Yield the frames of movie M1: high (above) and low friction at the same force, with contact and displacements."""
     high, low = study.typical
     forces = np.linspace(0.2, min(high.largest_force, low.largest_force), 40)
     with (
@@ -248,7 +250,7 @@ def _movie_contact(study: PressStudy) -> tuple[Iterator[Picture], str]:
 
 
 def _movie_protocol(study: PressStudy) -> Drawn:
-    """Draw the two presses of a trial in time, and both views of a frame."""
+    """Draw the normal force of the two presses of a trial against time, and one frame in both views."""
     high, low = study.typical
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     force, *views = figure.subplot_mosaic([["force", "force"], ["contact", "topography"]]).values()

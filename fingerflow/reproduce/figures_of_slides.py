@@ -81,7 +81,7 @@ def _draw_coulomb(axes: Axes) -> None:
 
 
 def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, width: float, scale: float = 0.0) -> None:
-    """Draw equation 5 over T/N divided by `scale`, by default the largest load."""
+    """Draw the stuck area of equation 5 against the load ratio T/N, divided by `scale` (0: the largest load ratio)."""
     largest = float(critical_load_ratio(static, kinetic))
     load: Values = largest * (1 - np.linspace(1, 0, 400) ** 2)
     smallest = float(critical_stuck_area(static, kinetic).nan_to_num(0.0))
@@ -93,15 +93,15 @@ def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, wid
 
 
 def _abrupt(slides: Slides) -> Drawn:
-    return _set(slides.of(ABRUPT), "The thick lines are the fitted collapse, with its duration.")
+    return _draw_set(slides.of(ABRUPT), "The thick lines are the fitted collapse, with its duration.")
 
 
 def _fading(slides: Slides) -> Drawn:
-    return _set(slides.of(FADING), "The area fades without a collapse.")
+    return _draw_set(slides.of(FADING), "The area fades without a collapse.")
 
 
-def _set(own: list[JudgedSlide], about: str) -> Drawn:
-    """Draw the measured curves of a set, and the four models fitted to all of them."""
+def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
+    """Draw the measured stuck area of a set of slides against load ratio, with four models fitted to all slides."""
     judged = [one for one in own if one.trial.verdict.loss_load_ratio > 0]
     if not judged:
         return None, "no slide of this set has a complete loss of adhesion"

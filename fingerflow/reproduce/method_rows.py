@@ -1,4 +1,4 @@
-"""Printed settings, equations and models of Willemet et al. 2021, each with the function that obtains it."""
+"""Printed settings, equations and models of Willemet et al. 2021, each with the function that reproduces it."""
 
 import inspect
 import math
@@ -120,7 +120,9 @@ def _registration(study: PressStudy) -> Obtained:
 
 def _features(study: PressStudy) -> Obtained:
     most = study.scene.tracking.points
-    counts = [len(found["position"][0]) for entry in study.some(4) if (found := study.result_of(entry)) is not None]
+    counts = [
+        len(found["position"][0]) for entry in study.evenly_spaced(4) if (found := study.result_of(entry)) is not None
+    ]
     return Obtained(f"{most} at most; {min(counts)} to {max(counts)} here", exactly(most))
 
 
@@ -283,7 +285,10 @@ def _receptors(_: PressStudy) -> Obtained:
 
 
 def _deep_stresses(_: PressStudy) -> Obtained:
-    """Compare the closed forms of a strip with a quadrature of equation 11, and of the shear that it lacks."""
+    """Compare the closed-form stresses below a loaded strip with numerical integration of equation 11.
+
+    The shear stress, which equation 11 lacks, is integrated too.
+    """
     place, depth, half, press, pull = 0.7, 0.5, 1.0, 3.0, 2.0
     found = stress(place, depth, torch.tensor([-half, half]), torch.tensor([press]), torch.tensor([pull]))
 
@@ -305,8 +310,13 @@ def _deep_stresses(_: PressStudy) -> Obtained:
     )
 
 
-def _gain(values: Values, frictions: tuple[float, ...]) -> tuple[str, tuple[tuple[float, float], ...], str]:
-    """Return text, number and reason on values (K,) at the highest friction over those at lower ones."""
+def _gains_over_low_friction(
+    values: Values, frictions: tuple[float, ...]
+) -> tuple[str, tuple[tuple[float, float], ...], str]:
+    """Return the ratios of a quantity (K,) at the highest friction to that at each lower friction.
+
+    They come as text, as the interval of the ratio to the lowest friction, and with that friction as text.
+    """
     high = values[frictions.index(HIGH)]
     ratios = {one: float(high / values[frictions.index(one)]) for one in frictions if one != HIGH}
     least = min(ratios)
@@ -322,14 +332,14 @@ _STUCK = (
 
 def _stress_gain(study: PressStudy) -> Obtained:
     peak = study.sources.depth.receptor_stress[1].min(-1)
-    text, numbers, _ = _gain(peak, study.sources.presses.friction)
+    text, numbers, _ = _gains_over_low_friction(peak, study.sources.presses.friction)
     return Obtained(f"peak of σ_z, {text}", numbers, because=_STUCK)
 
 
 def _strain_gain(study: PressStudy) -> Obtained:
     depth = study.sources.depth
     compression = -depth.strain_z[-1, :, len(depth.place) // 2]
-    text, numbers, _ = _gain(compression, study.sources.presses.friction)
+    text, numbers, _ = _gains_over_low_friction(compression, study.sources.presses.friction)
     return Obtained(f"compression 2 mm deep, {text}", numbers, because=_STUCK)
 
 

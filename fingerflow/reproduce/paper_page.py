@@ -1,4 +1,4 @@
-"""Page of the reproduction: printed and obtained results of each paper, its figures, as JSON and as HTML."""
+"""Page of the reproduction: printed and reproduced results of each paper and its figures, as JSON and as HTML."""
 
 import json
 from collections import Counter
@@ -24,7 +24,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class PaperResults:
-    """What is obtained for one paper: sentences on the simulated experiment, rows of the table, and figures."""
+    """Results of the reproduction of one paper: description of the simulated experiment, table rows, and figures."""
 
     paper: str
     about: str
@@ -33,7 +33,7 @@ class PaperResults:
 
 
 def write_results(found: PaperResults, folder: Path) -> None:
-    """Write `PAPER.json`, from which pages are made; raise FingerflowError if it cannot be written."""
+    """Write the results of a paper as `slip.json` or `press.json`, from which the page is made."""
     content = {
         "paper": found.paper,
         "title": TITLES[found.paper],
@@ -47,14 +47,14 @@ def write_results(found: PaperResults, folder: Path) -> None:
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
-    """Return the results of all papers in a folder, in the order of `TITLES`, each with its `counts` of verdicts."""
+    """Return the results of each paper in a folder as a dictionary, with the number of rows per verdict in `counts`."""
     paths = [folder / f"{paper}.json" for paper in TITLES]
     found = [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
     return [{**one, "counts": _counts(one["rows"])} for one in found]
 
 
 def write_page(folder: Path) -> Path:
-    """Write `index.html` from the results in a folder; raise FingerflowError if it cannot be written."""
+    """Write `index.html` from the results of all papers in a folder, and return its path."""
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
     html = template.render(papers=read_results(folder), mark=MARK)
     path = folder / "index.html"

@@ -1,4 +1,4 @@
-"""Printed results of Willemet et al. 2021, each with the function that obtains it from the simulated study.
+"""Printed results of Willemet et al. 2021, each with the function that computes it from the simulated study.
 
 Claims such as "no effect" agree where the same test, with participants as units, has p on the same side of 0.05.
 """
@@ -29,7 +29,7 @@ _SMALL_UM = 1.0  # amplitudes up to which groups differ in print
 
 
 def _distribution(study: PressStudy, metric: str, unit: str, factor: float = 1.0) -> tuple[str, tuple[Interval, ...]]:
-    """Return mean ± SD of a metric over all presses as text, and intervals of 95 % of both."""
+    """Return mean ± SD of a metric over all presses as text, and the 95 % confidence intervals of both."""
     values = factor * study.values(metric)
     values = values[np.isfinite(values)]
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
@@ -89,7 +89,7 @@ _CHANCE = "the presses of this study are few"
 
 
 def _area(study: PressStudy, metric: str) -> Obtained:
-    """Return mean ± SD over participants of their median area at the largest force."""
+    """Return mean ± SD over participants of their median contact area (mm²) at the largest force."""
     own = study.frame.groupby("participant")[[metric, f"true_{metric}"]].median()
     found, truth = own[metric].to_numpy(float), own[f"true_{metric}"].to_numpy(float)
     mean, deviation = float(found.mean()), float(found.std(ddof=1))
@@ -110,7 +110,10 @@ def _real_area(study: PressStudy) -> Obtained:
 
 
 def _slopes(study: PressStudy) -> Obtained:
-    """Correlate the slope of the normalised real area against force, from 1 to 3 N, with the amplitude."""
+    """Correlate the slope of real contact area against force (1 to 3 N) with the vibration amplitude.
+
+    The area is normalised by the median of the participant.
+    """
     frame = study.measured
     median = frame.groupby("participant")["real_contact_area"].transform("median")
     slope = (frame["real_contact_area_at_3n"] - frame["real_contact_area_at_1n"]) / 2 / median
@@ -123,8 +126,8 @@ def _slopes(study: PressStudy) -> Obtained:
     )
 
 
-def _fall(study: PressStudy) -> Obtained:
-    """Compare the real area at 3 N at the largest amplitude with that without vibration, by participant."""
+def _area_reduction(study: PressStudy) -> Obtained:
+    """Compute by how many percent the largest vibration reduces the real contact area at 3 N, over participants."""
     frame = study.measured
     means = frame.groupby(["participant", "condition"])["real_contact_area_at_3n"].mean().unstack()
     fall = 100 * (1 - means.iloc[:, -1] / means.iloc[:, 0]).dropna().to_numpy(float)
@@ -166,8 +169,8 @@ def _p(value: float | None) -> str:
     return "p < 0.001" if value < 1e-3 else f"p = {value:.2g}"
 
 
-def _test_of(test: dict[str, Any]) -> str:
-    """Return an ANOVA with participants as units, and that of trials as the paper has it."""
+def _anova_text(test: dict[str, Any]) -> str:
+    """Return the F tests of an ANOVA as text: with participants as units, and with trials as units as in the paper."""
     if test["f"] is None:
         return f"no F: {test['reason']}"
     (between, left), printed = test["degrees"], test["as_printed"]
@@ -179,7 +182,7 @@ def _test_of(test: dict[str, Any]) -> str:
 
 
 def _has_effect(test: dict[str, Any]) -> bool:
-    """Return whether the paper's test, which takes trials as independent, is significant."""
+    """Return True if the paper's test, which treats trials as independent, is significant (p < 0.05)."""
     p = test["as_printed"]["p"]
     return p is not None and bool(p < _ALPHA)
 
@@ -187,7 +190,7 @@ def _has_effect(test: dict[str, Any]) -> bool:
 def _no_effects(study: PressStudy) -> Obtained:
     names = ("max_force", "time_to_max_force", "duration")
     tests = {name: study.statistics["by_answer"][name] for name in names}
-    text = "; ".join(f"{NUMBERS[name].words}: {_test_of(test)}" for name, test in tests.items())
+    text = "; ".join(f"{NUMBERS[name].words}: {_anova_text(test)}" for name, test in tests.items())
     return Obtained(
         text, agrees=not any(_has_effect(test) for test in tests.values()),
         because="divergence grows with force, so the simulated observer answers better at larger ones",
@@ -207,16 +210,19 @@ def _rate_on_answers(study: PressStudy) -> Obtained:
     )
 
 
-def _share(study: PressStudy, metric: str) -> Any:
-    """Return Spearman's coefficient of the dots (participant, condition) of a metric against shares of answers."""
+def _correlate_with_answers(study: PressStudy, metric: str) -> Any:
+    """Return Spearman's correlation of a metric with the share of "more slippery" answers.
+
+    Each pair of values is the median metric and the share of one participant in one condition.
+    """
     trials = study.sample.trials
-    values = study.of_answered(metric)
+    values = study.column_of_sample(metric)
     medians, shares, _, who = dots_of(trials, values)
     return spearman(medians, shares, participants=who)
 
 
 def _unrelated(study: PressStudy, *metrics: str, because: str) -> Obtained:
-    found = {metric: _share(study, metric) for metric in metrics}
+    found = {metric: _correlate_with_answers(study, metric) for metric in metrics}
     if unknown := [f"{_words(metric)}: {one.reason}" for metric, one in found.items() if not math.isfinite(one.value)]:
         return Obtained("", because=f"no coefficient of {'; '.join(unknown)}")
     text = "; ".join(
@@ -251,16 +257,16 @@ def _strain_on_answers(study: PressStudy) -> Obtained:
 
 def _angle_by_amplitude(study: PressStudy) -> Obtained:
     test = study.statistics["by_condition"]["force_angle"]
-    return Obtained(_test_of(test), agrees=_has_effect(test), because=_CHANCE)
+    return Obtained(_anova_text(test), agrees=_has_effect(test), because=_CHANCE)
 
 
 def _energy_by_amplitude(study: PressStudy) -> Obtained:
     test = study.statistics["by_condition"]["strain_energy"]
-    return Obtained(_test_of(test), agrees=_has_effect(test), because=_CHANCE)
+    return Obtained(_anova_text(test), agrees=_has_effect(test), because=_CHANCE)
 
 
 def _angle_at(study: PressStudy, place: int) -> Obtained:
-    """Return mean ± SD of the peak force angle at the smallest (0) or largest (-1) amplitude."""
+    """Return mean ± SD over presses of the peak force angle (degrees) at the smallest (0) or largest (-1) amplitude."""
     frame = study.measured
     amplitude = sorted(set(frame["condition"]))[place]
     own = np.degrees(frame.loc[frame["condition"] == amplitude, "force_angle"].to_numpy(float))
@@ -385,7 +391,7 @@ def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
     right = float(stats.f.sf(2.12, 5, 70))
     test = study.statistics["by_answer"]["strain_rate"]
     because = f"F(5,70) = 2.12 gives p = {right:.3f}, not 0.023: the print disagrees with itself"
-    return Obtained(_test_of(test), agrees=False, because=because)
+    return Obtained(_anova_text(test), agrees=False, because=because)
 
 
 # Ideal observer
@@ -404,7 +410,7 @@ def _criterion(study: PressStudy) -> Obtained:
     if one["value"] is None or one["interval"][0] is None:
         return Obtained("", because=f"no criterion: {one['reason']}")
     low, high = one["interval"]
-    truth = 1000 * study.of_answered("true_divergence")[study.sample.trials.answer]
+    truth = 1000 * study.column_of_sample("true_divergence")[study.sample.trials.answer]
     return Obtained(
         f"{one['value']:.1f} ({low:.1f} to {high:.1f}) {one['unit']}",
         ((low, high),),
@@ -417,7 +423,7 @@ def _ranking(study: PressStudy) -> Obtained:
     found = study.statistics["observer"]["metrics"]
     alone = {name: found[name]["auc"]["value"] for name in OBSERVED if name in found}
     answer = study.sample.trials.answer
-    pairs = {name: study.of_answered(name + DIFFERENCE) for name in OBSERVED}
+    pairs = {name: study.column_of_sample(name + DIFFERENCE) for name in OBSERVED}
     differences = {name: auc(one[answer], one[~answer], resamples=100).value for name, one in pairs.items()}
     return Obtained(
         f"areas under the ROC, of differences between the two presses: {_ordered(differences)}; of the comparison "
@@ -436,7 +442,7 @@ def _ordered(areas: dict[str, float]) -> str:
 def _soft_advantage(study: PressStudy) -> Obtained:
     trials = study.sample.trials
     small = trials.condition.astype(float) <= _SMALL_UM
-    soft = study.of_answered("true_softness") > np.mean(study.design.softness)
+    soft = study.column_of_sample("true_softness") > np.mean(study.design.softness)
     shares = [trials.answer[small & group] for group in (~soft, soft)]
     firmer, softer = (float(one.mean()) for one in shares)
     groups = study.statistics["groups"]
@@ -467,7 +473,7 @@ ROWS: tuple[Row[PressStudy], ...] = (
     Row("B6", "real contact area", "23.7 ± 4.5 mm²", "Friction modulation", within(23.7, 4.5), _real_area),
     Row("B7", "slope of real area against force, by α", "Spearman -0.28, p < 0.0001", "S1E, S1F",
         rounded(-0.28, digit=0.01), _slopes),
-    Row("B8", "fall of real area", "38 %", "S1F", rounded(38, digit=1), _fall),
+    Row("B8", "fall of real area", "38 %", "S1F", rounded(38, digit=1), _area_reduction),
     Row("B9", "area trends", "apparent: no effect of α; real: almost linear in force", "S1C to S1E", (), _trends),
     Row("B34", "normal force", "1 to 18 N, mean about 5.5 N", "S5B", ((1, 18), (1, 18), (5, 6)), _forces),
     Row("B35", "time to peak force", "1.47 ± 0.39 s", "S5C", rounded(1.47, 0.39, digit=0.01), _time_to_peak),

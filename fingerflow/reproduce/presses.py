@@ -1,4 +1,4 @@
-"""The simulated experiment of Willemet et al. 2021: a study of presses, recorded, measured and analysed."""
+"""Simulated experiment of Willemet et al. 2021: recordings of a study of presses, its results and statistics."""
 
 import json
 import math
@@ -49,35 +49,35 @@ _RESAMPLES = {False: 2000, True: 400}
 
 @dataclass(frozen=True)
 class TypicalPress:
-    """A press that figures show: its result and the scene of its frames."""
+    """Press that is shown in figures: its result, and the scene of its recording."""
 
     result: xr.Dataset
     scene: Scene
 
     @cached_property
     def peak(self) -> int:
-        """Return the frame of the largest force."""
+        """Return the index of the frame with the largest normal force."""
         return int(np.nanargmax(self.result["normal_force"]))
 
     @property
     def largest_force(self) -> float:
-        """Return the largest force, N."""
+        """Return the largest normal force, N."""
         return float(self.result["normal_force"][self.peak])
 
     @property
     def force_text(self) -> str:
-        """Return the largest force as text."""
+        """Return the largest normal force as text with its unit."""
         return f"{self.largest_force:.1f} N"
 
     def frame_at(self, force: float) -> int | None:
-        """Return the first frame in which a force (N) is reached; None if it never is."""
+        """Return the first frame in which the normal force reaches a value (N); None if it never does."""
         reached = np.flatnonzero(np.nan_to_num(self.result["normal_force"]) >= force)
         return int(reached[0]) if reached.size else None
 
 
 @dataclass(frozen=True)
 class PressStudy:
-    """A measured study: manifest, table of trials, curves by condition, sample, statistics, and the simulated truth.
+    """Simulated study after processing: its trials, metrics, curves and statistics, and the settings of the simulation.
 
     Attributes:
         frame, curves: DataFrames, as in `trials.parquet` and `curves.csv`.
@@ -98,30 +98,30 @@ class PressStudy:
 
     @cached_property
     def scene(self) -> Scene:
-        """Return the settings of the first trial, which all share but for their files."""
+        """Return the scene of the first press; those of the others differ from it in file names only."""
         return self.manifest.scene_of(self.manifest.trials[0])
 
     def result_of(self, entry: TrialEntry) -> xr.Dataset | None:
-        """Return the result of a trial; None if it was not measured."""
+        """Return the result of a press; None if it was not measured."""
         folder = self.manifest.results / entry.name
         stored = read_row(folder)
         return None if stored is None or stored.result is None else load_result(folder / stored.result)
 
     def truth_of(self, entry: TrialEntry) -> SyntheticScene:
-        """Return the simulated scene of a trial."""
+        """Return the synthetic scene of a press, which has its true motion."""
         return rebuild_scene(self.manifest.scene_of(entry).recording.frames.parent)
 
     @cached_property
     def measured(self) -> Any:
-        """Return the rows of all measured presses."""
+        """Return the table rows (a DataFrame) of all presses that were measured."""
         return self.frame[self.frame["status"] == MEASURED]
 
     def values(self, metric: str) -> Values:
-        """Return a metric of all measured presses, in the unit of the table."""
+        """Return a metric of each measured press, in the unit of the table."""
         return np.asarray(self.measured[metric].to_numpy(float))
 
-    def of_answered(self, column: str) -> Values:
-        """Return a column of the trials that statistics use, in their order."""
+    def column_of_sample(self, column: str) -> Values:
+        """Return a column of the table for the trials in `sample`, in their order."""
         trials = self.sample.trials
         own = self.frame.set_index(["participant", "trial", "condition"])
         places = list(zip(trials.participant, trials.trial, trials.condition, strict=True))
@@ -129,14 +129,16 @@ class PressStudy:
 
     @cached_property
     def rates(self) -> Any:
-        """Return a DataFrame of the rising force: metric, condition, press, participant, normal_force_N and rate.
+        """Return a DataFrame of strain and energy rates against normal force, while the force rises.
+
+        Columns: metric, condition, press, participant, normal_force_N and rate.
 
         Metrics are `strain_rate`, the mean of both directions, and `strain_energy_rate`; of 200 presses at most.
         """
         import pandas as pd
 
         parts = []
-        for entry in self.some(_PEAKS):
+        for entry in self.evenly_spaced(_PEAKS):
             result = self.result_of(entry)
             if result is None:
                 continue
@@ -153,7 +155,7 @@ class PressStudy:
 
     @cached_property
     def rate_curves(self) -> Any:
-        """Return the mean rates by condition at forces 0.5 N apart, as a table of curves.
+        """Return a DataFrame of mean strain and energy rates against normal force in steps of 0.5 N, by condition.
 
         Participants are the units of the intervals of 95 %, as in `curves`.
         """
@@ -172,7 +174,7 @@ class PressStudy:
 
     @cached_property
     def forces_of_peaks(self) -> dict[str, dict[float, float]]:
-        """Return for each metric of `rates` the median normal force (N) at the largest rate, by amplitude."""
+        """Return the normal force (N) at the peak of each metric of `rates`: median over presses, by amplitude (µm)."""
         own = self.rates
         peaks = own.loc[own.groupby(["metric", "press"])["rate"].idxmax()]
         median = peaks.groupby(["metric", "condition"])["normal_force_N"].median()
@@ -180,7 +182,7 @@ class PressStudy:
 
     @cached_property
     def chain_area_at_3n(self) -> dict[str, float]:
-        """Return the contact area (mm²) of the skin chain at 3 N, by the name of its parameters."""
+        """Return the contact area (mm²) of the skin-chain model at 3 N, for the parameter sets "paper" and "fitted"."""
         load = torch.tensor(3.0, dtype=torch.float64)
         return {
             name: math.pi * (500 * float(press(HIGH, name, load).contact_length)) ** 2 for name in ("paper", "fitted")
@@ -188,11 +190,12 @@ class PressStudy:
 
     @cached_property
     def errors(self) -> tuple[Values, Values]:
-        """Return errors (T, 2) of the median displacement (mm) and (T,) of the median divergence at the largest force,
-        of 8 trials at most.
+        """Return errors of median displacement (T, 2) mm and median divergence (T,) of T presses at the largest force.
+
+        An error is the measured value minus the simulated truth. T is at most 8; divergence has no unit.
         """
         moved, spread = [], []
-        for entry in self.some(_TRUTHS):
+        for entry in self.evenly_spaced(_TRUTHS):
             result = self.result_of(entry)
             if result is None:
                 continue
@@ -207,8 +210,10 @@ class PressStudy:
 
     @cached_property
     def chain_strain(self) -> dict[float, tuple[Values, Values]]:
-        """Return the skin chain's median radial strain (%) since the undeformed finger, at 1, 2 and 3 N, and the forces
-        (N) at the largest rates of that strain and of its energy, (2,), by friction.
+        """Return radial strains of the skin-chain model and the forces at which their rates peak, by friction.
+
+        The strains (3,) are medians in % relative to the undeformed finger, at 1, 2 and 3 N. The forces (2,) in N are
+        those at the largest rate of the strain and of the strain energy.
         """
         presses = self.sources.presses
         strain = 100 * np.median(presses.profile().radial, axis=-1)
@@ -227,7 +232,7 @@ class PressStudy:
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
-        """Return two presses of one participant with similar forces of 3 N or more, at high and at low friction.
+        """Return two presses of one participant with similar largest forces (3 N or more): at high and at low friction.
 
         Without vibration friction is high, at the largest amplitude low.
 
@@ -258,14 +263,14 @@ class PressStudy:
         assert result is not None
         return TypicalPress(result, self.manifest.scene_of(entry))
 
-    def some(self, most: int) -> Iterator[TrialEntry]:
-        """Yield evenly spaced trials, `most` at most."""
+    def evenly_spaced(self, most: int) -> Iterator[TrialEntry]:
+        """Yield at most `most` presses, evenly spaced in the list of all."""
         step = max(1, len(self.manifest.trials) // most)
         yield from self.manifest.trials[::step][:most]
 
 
 def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True) -> PressStudy:
-    """Write the recordings that are missing, run the study on all that are not measured, and compute its statistics.
+    """Simulate the recordings, process them as a study, and compute its statistics; existing files are kept.
 
     Raises FingerflowError if the folder holds a study of another design, or a file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Rows of the reproduction: a printed result, what is obtained for it, and whether the two agree."""
+"""Comparison of a printed result with the reproduced one: whether they agree, differ, or cannot be compared."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _TWO_SIDED = 1.96  # standard deviations of an interval of 95 %
 
 @dataclass(frozen=True)
 class Obtained:
-    """Result obtained for a printed one.
+    """Reproduced result: text, intervals of its numbers, and simulated truth.
 
     Attributes:
         text: values with units and deviations; empty where nothing can be obtained.
@@ -34,7 +34,7 @@ class Obtained:
 
 @dataclass(frozen=True)
 class Row(Generic[Source]):
-    """A printed result, and the function that obtains it from a source.
+    """Printed result, and the function that computes the reproduced one.
 
     Attributes:
         id: of the list of printed results.
@@ -53,7 +53,7 @@ class Row(Generic[Source]):
     obtain: Callable[[Source], Obtained]
 
     def answer(self, source: Source) -> "Answer":
-        """Obtain the result and compare it: the two agree where the intervals of each number overlap.
+        """Compute the reproduced result and compare it: it agrees if each number's interval overlaps the printed one.
 
         Raises ValueError if the numbers of printed and obtained results do not correspond.
         """
@@ -77,7 +77,7 @@ class Row(Generic[Source]):
 
 @dataclass(frozen=True)
 class Answer:
-    """A line of the page: printed and obtained result, truth of the simulation, verdict, and its reason."""
+    """Row of the results table: printed and reproduced result, simulated truth, verdict, and reason."""
 
     id: str
     quantity: str
@@ -89,32 +89,32 @@ class Answer:
     because: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the line as plain values."""
+        """Return the row as a dictionary of strings, for JSON."""
         return asdict(self)
 
 
 def exactly(*values: float) -> tuple[Interval, ...]:
-    """Return intervals without width."""
+    """Return an interval of zero width for each value."""
     return tuple((value, value) for value in values)
 
 
 def rounded(*values: float, digit: float) -> tuple[Interval, ...]:
-    """Return the intervals within which printed numbers were rounded to a multiple of `digit`."""
+    """Return for each printed number the interval of values that round to it, with a rounding step of `digit`."""
     return tuple((value - digit / 2, value + digit / 2) for value in values)
 
 
 def within(value: float, deviation: float) -> tuple[Interval, ...]:
-    """Return the interval of a value and its printed deviation."""
+    """Return the interval value ± deviation, for a printed value."""
     return ((value - deviation, value + deviation),)
 
 
 def likely(value: float, deviation: float) -> Interval:
-    """Return the interval of 95 % of a value with a standard deviation."""
+    """Return the 95 % confidence interval of a value with a standard deviation (normal distribution)."""
     return value - _TWO_SIDED * deviation, value + _TWO_SIDED * deviation
 
 
 def number(value: float, deviation: float | None = None) -> str:
-    """Return a number as text, to three digits or to the second digit of its deviation, with "±" and the deviation."""
+    """Return "value ± deviation" as text with two digits of the deviation; without it, three digits of the value."""
     if deviation is None or not math.isfinite(deviation) or deviation <= 0:
         return f"{value:.3g}"
     decimals = max(0, 1 - math.floor(math.log10(deviation)))
@@ -122,5 +122,5 @@ def number(value: float, deviation: float | None = None) -> str:
 
 
 def unobtainable(because: str) -> Callable[[Any], Obtained]:
-    """Return the function of a row for which nothing can be obtained, and why."""
+    """Return the `obtain` function of a row whose result cannot be reproduced; `because` is the reason."""
     return lambda _: Obtained("", because=because)

@@ -1,4 +1,4 @@
-"""The simulated experiment of Terekhov & Hayward 2011: ten slides, recorded, and measured by an ordinary study."""
+"""Simulated experiment of Terekhov & Hayward 2011: ten slides, recorded, and measured as a study."""
 
 import csv
 import io
@@ -37,32 +37,34 @@ _PIXEL_MM = 0.04  # the paper's pixel
 
 @dataclass(frozen=True)
 class JudgedSlide:
-    """A slide of the experiment: its set, the simulated truth, and the measured trial with the scene of its frames."""
+    """Simulated slide with its measurement: set (abrupt, fading or unsteady), true slip, measured trial, and scene."""
 
     kind: str
     truth: LinearSlip
     trial: SlipTrial
     scene: Scene
 
-    def is_right(self) -> bool:
-        """Return whether the verdict is that of the set."""
+    def is_judged_correctly(self) -> bool:
+        """Return True if the measured verdict is the expected one of the slide's set."""
         return self.trial.verdict.outcome == EXPECTED[self.kind]
 
 
 @dataclass(frozen=True)
 class Slides:
-    """All slides of the experiment; `failed` names those that could not be measured, with the reason."""
+    """Measured slides of the simulated experiment, and messages on slides that could not be measured."""
 
     slides: tuple[JudgedSlide, ...]
     failed: tuple[str, ...] = ()
 
     def of(self, kind: str) -> list[JudgedSlide]:
-        """Return the slides of a set."""
+        """Return the measured slides of one set: "abrupt", "fading" or "unsteady"."""
         return [one for one in self.slides if one.kind == kind]
 
 
 def design_slides() -> dict[str, LinearSlip]:
-    """Return the ten slides by folder: four that collapse, four that fade, two with an unsteady force.
+    """Return the ten simulated slides by folder name.
+
+    The stick region collapses in four of them and fades in four; in two the tangential force is unsteady.
 
     A folder is participant and trial; friction, forces, sizes and skin differ from slide to slide. The stuck area of
     those that collapse falls in a straight line with the load, as the paper saw no parabolic decay.
@@ -75,12 +77,12 @@ def design_slides() -> dict[str, LinearSlip]:
 
 
 def kind_of(slide: LinearSlip) -> str:
-    """Return the set of a slide."""
+    """Return the set to which a slide belongs: "abrupt", "fading" or "unsteady"."""
     return UNSTEADY if slide.swing >= _SWINGS[UNSTEADY] else ABRUPT if slide.last > 0 else FADING
 
 
 def record_and_measure(folder: Path, progress: bool = True) -> Slides:
-    """Write the recordings that are missing, run the study on all that are not measured, and return the slides.
+    """Simulate the recordings of all slides, process them as a study, and return the slides; existing files are kept.
 
     Raises FingerflowError if a file cannot be written.
     """
@@ -139,7 +141,7 @@ def _slide(number: int, kind: str, last: float, collapse: float) -> LinearSlip:
 
 
 def _write_sets(path: Path, slides: dict[str, LinearSlip]) -> None:
-    """Write the table of trials that `study init` takes: participant, trial, no answer, and the set as condition."""
+    """Write the table that `study init` reads: participant, trial, empty answer, and the slide's set as condition."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("participant", "trial", "answer", "condition"))

@@ -1,4 +1,4 @@
-"""Printed results of Terekhov & Hayward 2011, each with the function that obtains it from the simulated slides.
+"""Printed results of Terekhov & Hayward 2011, each with the function that computes it from the simulated slides.
 
 The model's equations are checked by quadrature and root finding, written here from the printed lines, against
 `fingerflow.models.partial_slip`.
@@ -45,7 +45,7 @@ def _outcomes(slides: Slides) -> Obtained:
     printed = counts([one.trial.verdict.printed_outcome for one in slides.slides])
     truth = tuple(len(slides.of(kind)) for kind in EXPECTED)
     text = f"{_with(own)}; by the printed rule {_with(printed)}"
-    wrong = [one.trial.name for one in slides.slides if not one.is_right()]
+    wrong = [one.trial.name for one in slides.slides if not one.is_judged_correctly()]
     return Obtained(text, exactly(*own), _with(truth), f"misjudged: {', '.join(wrong)}")
 
 
@@ -54,7 +54,7 @@ def _with(counts: tuple[int, ...]) -> str:
 
 
 def _critical(slides: Slides) -> list[JudgedSlide]:
-    """Return the slides with a critical area, the smallest first."""
+    """Return the slides whose stuck area vanishes abruptly, in ascending order of the critical stuck area."""
     found = [one for one in slides.slides if one.trial.verdict.outcome == EXPECTED[ABRUPT]]
     return sorted(found, key=lambda one: one.trial.verdict.critical_area)
 
@@ -166,12 +166,12 @@ def _force_rate(slides: Slides) -> Obtained:
 
 
 def _pressure(radius: Values | float) -> Values:
-    """Return p of equation 1 at relative radii."""
+    """Return the contact pressure of equation 1 at radii relative to the contact radius."""
     return np.asarray(2 / math.pi * (1 - np.square(radius)))
 
 
 def _traction(radius: Values, stuck: float) -> Values:
-    """Return q of equations 2 and 3 at relative radii, for a stuck area share d^2."""
+    """Return the tangential traction of equations 2 and 3 at relative radii, for a relative stuck area d²."""
     slipping = _KINETIC * _pressure(radius)
     return np.where(radius**2 < stuck, _STATIC * 2 / math.pi * (1 - stuck), slipping)
 

@@ -24,7 +24,7 @@ _BLUR_PX = 21  # side of the local mean that is taken off for the enhanced pictu
 
 
 def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPanel]:
-    """Return the panels A 1 to 6: the contact view from the raw frame to area against force."""
+    """Return panels A1 to A6 of figure S3: steps of the contact view, from raw frame to area against force."""
     raw = view_of(scene, "contact", frame)
     light = _empty(scene)
     share = np.divide(raw, light, out=np.ones_like(raw), where=light > 0.1 * light.max()).astype(np.float32)
@@ -44,7 +44,10 @@ def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPa
 
 
 def skin_stages(result: xr.Dataset, scene: Scene, frame: int, first: int) -> list[SheetPanel]:
-    """Return the panels B 1 to 6: the topography view from the raw frame to divergence against force."""
+    """Return panels B1 to B6 of figure S3: steps of the topographic view, from raw frame to divergence against force.
+
+    `first` is the frame in which points are shown at first contact.
+    """
     raw = view_of(scene, "topography", frame)
     enhanced = raw - cv2.blur(raw, (_BLUR_PX, _BLUR_PX))
     enhanced += enhanced - cv2.GaussianBlur(enhanced, (0, 0), 1.5)
@@ -65,7 +68,9 @@ def view_of(scene: Scene, name: str, frame: int) -> Picture:
 
 
 def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | None = None) -> NDArray[np.bool_]:
-    """Return where the skin touches in a frame: counts below the result's threshold of the light of the empty glass.
+    """Return the mask of pixels in which the skin touches the glass in a frame.
+
+    There, the frame is darker than the threshold of the result, relative to a frame of the empty glass.
 
     The median is that of the scene, unless `median_px` states another.
     """
@@ -78,7 +83,7 @@ def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | 
 
 
 def show(axes: Axes, picture: NDArray[Any]) -> Axes:
-    """Draw a picture in grey levels, without ticks."""
+    """Draw an image in grey levels without axis ticks, and return the axes."""
     low, high = np.percentile(picture, (0.5, 99.5)) if picture.dtype != bool else (0, 1)
     axes.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1e-6), interpolation="nearest")
     axes.set(xticks=[], yticks=[])
@@ -123,7 +128,7 @@ def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
 
 
 def difference_panel(pairs: Sequence[tuple[float, NDArray[np.bool_], NDArray[np.bool_]]]) -> SheetPanel:
-    """Return the images of figure S1 E: contact at high less that at low friction, at several forces (N)."""
+    """Return the panel of figure S1 E: contact mask at high minus low friction, at several forces (N)."""
 
     def draw(part: SubFigure) -> None:
         for axes, (force, high, low) in zip(np.atleast_1d(part.subplots(1, len(pairs))), pairs, strict=True):

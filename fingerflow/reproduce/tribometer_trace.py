@@ -1,4 +1,4 @@
-"""Simulated tribometer trace of a finger that slides to and fro on a plate whose vibration is modulated."""
+"""Simulated tribometer trace of a finger that slides back and forth on a plate with modulated vibration amplitude."""
 
 import io
 from collections.abc import Callable
@@ -18,7 +18,7 @@ _NOISE_N = 1e-3  # of a sample
 
 
 def write_trace(path: Path, friction: Callable[[Values], Values], largest_um: float) -> TribometerTrace:
-    """Write a trace as CSV, six strokes of 2 s, and read it; raise FingerflowError if it cannot be written.
+    """Simulate a trace of six strokes of 2 s, write it as CSV, and return it; an existing file is read.
 
     Args:
         path: of the file; one that is there is kept.

@@ -1,4 +1,4 @@
-"""Recordings of a simulated study with known truth: a pair of presses a trial, and what the observer answered."""
+"""Recordings of a simulated study with known truth: two presses per trial, and the observer's answers."""
 
 import csv
 import io
@@ -19,7 +19,10 @@ _COLUMNS = ("participant", "trial", "reference", "answer", "true_friction", "tru
 
 
 def write_recordings(folder: Path, design: Design) -> None:
-    """Write one `ChainPress` recording per press with its scene, `answers.csv` and `truth.json`, into a folder.
+    """Simulate all presses of a study as recordings in a folder, with the observer's answers and the true values.
+
+    Each press is a `ChainPress` recording with its scene. `answers.csv` has answers and true values, `truth.json` the
+    design.
 
     Odd trials of a participant are references, the next even ones their comparisons, which have the answer and name
     their reference. Recordings that the folder has already are kept, so that an interrupted call goes on.

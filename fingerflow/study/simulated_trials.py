@@ -1,4 +1,4 @@
-"""Trials of a simulated study: friction, force, drag and real contact of every press, and what an observer answers.
+"""Simulated trials of a study: random parameters of each press, and the answers of a simulated observer.
 
 A trial is a two-interval forced choice of Willemet et al. 2021: a reference press without vibration, and a comparison
 press at one of seven amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
@@ -29,7 +29,7 @@ _FORCES_N = np.geomspace(1.0, 18.0, 21)  # of the tables of divergence and area
 
 @dataclass(frozen=True)
 class Design:
-    """Design of a simulated study, and the distributions from which its presses are drawn.
+    """Settings of a simulated study: numbers of trials, and distributions of the parameters of its presses.
 
     Attributes:
         participants: the second half of them has softer skin.
@@ -92,11 +92,11 @@ class Design:
         return np.asarray(low * (high / low) ** np.sqrt(self._share(amplitude)))
 
     def is_soft(self) -> NDArray[np.bool_]:
-        """Return a mask (P,) of the participants with softer skin."""
+        """Return the mask (P,) of those of the P participants who have the softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
     def angle_at(self, amplitude: Values) -> Values:
-        """Return the mean angle of the force in degrees at vibration amplitudes in µm."""
+        """Return the mean angle (degrees) between force and surface normal at vibration amplitudes in µm."""
         high, low = self.angle
         return np.asarray(high + (low - high) * self._share(amplitude))
 
@@ -106,7 +106,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Presses:
-    """Presses of a simulated study, (N,) each, a reference before each comparison."""
+    """Parameters of N presses of a simulated study, (N,) each; a reference press precedes each comparison press."""
 
     participant: NDArray[np.int64]
     amplitude: Values  # µm
@@ -123,7 +123,7 @@ class Presses:
     seed: NDArray[np.int64]  # of the camera
 
     def pairs(self) -> "tuple[Presses, Presses]":
-        """Return the references and the comparisons, in the same order."""
+        """Return the reference presses and the comparison presses, in the same order."""
         reference, comparison = (
             Presses(*(getattr(self, field.name)[first::2] for field in fields(self))) for first in (0, 1)
         )
@@ -131,7 +131,10 @@ class Presses:
 
 
 def draw_presses(design: Design) -> Presses:
-    """Draw all presses of a study: two for each trial, trials by participant and condition."""
+    """Sample at random the parameters of all presses of a study: two presses per trial.
+
+    Trials are ordered by participant, then by condition.
+    """
     draw = np.random.default_rng(design.seed)
     amplitudes = np.repeat(design.amplitudes, design.trials)
     per_person = np.stack((np.zeros_like(amplitudes), amplitudes), -1).ravel()
@@ -145,7 +148,7 @@ def draw_presses(design: Design) -> Presses:
     angle = np.radians(design.angle_at(amplitude)) * draw.gamma(4.0, 0.25, count)
     length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
     direction = draw.uniform(0, 2 * math.pi, count)
-    divergence, area = _at_peak(design, soft, amplitude, force)
+    divergence, area = _peak_values(design, soft, amplitude, force)
     return Presses(
         participant=participant,
         amplitude=amplitude,
@@ -158,13 +161,13 @@ def draw_presses(design: Design) -> Presses:
         shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
         divergence=divergence,
         gross_contact_area=area,
-        real_contact_area=area * _real_share(design, draw, participant, amplitude),
+        real_contact_area=area * _draw_real_share(design, draw, participant, amplitude),
         seed=draw.integers(1 << 30, size=count),
     )
 
 
 def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArray[np.bool_]:
-    """Return the answers (T,) of the simulated observer: True where the comparison is felt as more slippery.
+    """Return the answers (T,) of the simulated observer in T trials: True if the comparison press felt more slippery.
 
     More divergence, or less real contact, is felt as more slippery.
     """
@@ -176,7 +179,7 @@ def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArr
 
 
 def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
-    """Return the synthetic recording of a press."""
+    """Return press `number` of a study as a synthetic recording."""
     time, duration = float(presses.time_to_peak[number]), float(presses.duration[number])
     frames_before = 2
     contact_time = 0.02
@@ -196,7 +199,9 @@ def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
 
 
 def median_divergence(press: ChainPress) -> float:
-    """Return the median divergence over the apparent contact since each point's onset, at the end of the rise.
+    """Return the true median divergence over the apparent contact at the end of the force rise.
+
+    The divergence of each point counts from its onset of contact.
 
     It is the truth of the pictures, evaluated along one radius: skin and contact are those of a body of revolution.
     """
@@ -211,7 +216,7 @@ def median_divergence(press: ChainPress) -> float:
 
 
 def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> tuple[Values, Values]:
-    """Draw peak forces (N) and times to the peak (s)."""
+    """Sample at random the peak forces (N) and times to peak (s) of `count` presses."""
     mean, deviation = design.force_rate
     shape = (mean / deviation) ** 2
     force, time = np.empty(count), np.empty(count)
@@ -230,8 +235,13 @@ def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: 
     return np.asarray(draw.lognormal(math.log(mean) - square / 2, math.sqrt(square), count))
 
 
-def _real_share(design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values) -> Values:
-    """Draw the share of the apparent contact that touches: by vibration, by participant, and from press to press."""
+def _draw_real_share(
+    design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values
+) -> Values:
+    """Sample at random the ratio of real to apparent contact area of each press.
+
+    It falls with the vibration amplitude, and varies between participants and between presses.
+    """
     mean, deviation = design.real_area
     fall = 1 - design.real_area_fall * design._share(amplitude)
     own = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
@@ -254,21 +264,24 @@ def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPr
     )
 
 
-def _at_peak(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
-    """Return divergence and apparent contact area (mm²) at the peak force of presses, from tables over the force."""
+def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
+    """Return median divergence and apparent contact area (mm²) of presses at their peak force.
+
+    Both are interpolated over the force from tables of the skin-chain model.
+    """
     divergence, area = np.empty(force.size), np.empty(force.size)
     for friction in np.unique(design.friction_at(amplitude)):
         for softer in (False, True):
             own = (design.friction_at(amplitude) == friction) & (soft == softer)
-            table = _table(design.softness[int(softer)], float(friction))
+            table = _peak_table(design.softness[int(softer)], float(friction))
             for values, column in ((divergence, 0), (area, 1)):
                 values[own] = np.interp(force[own], _FORCES_N, table[:, column])
     return divergence, area
 
 
 @lru_cache(maxsize=256)
-def _table(softness: float, friction: float) -> Values:
-    """Return divergence and apparent contact area (mm²) at the forces of tables, (K, 2)."""
+def _peak_table(softness: float, friction: float) -> Values:
+    """Return a table (K, 2) of median divergence and apparent contact area (mm²) of the skin chain at K forces."""
     design = Design(softness=(softness, softness))
     presses = [_press(design, friction, False, min(float(force), _PATHS_N[-1])) for force in _FORCES_N]
     areas = [press.motion.ellipse(1.0) for press in presses]

@@ -1,4 +1,4 @@
-"""Compute the paper's statistics from a table of trials, with counts of the excluded trials."""
+"""Compute the statistics of Willemet et al. 2021 from a table of trials, with counts of the excluded trials."""
 
 import math
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ _LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force ra
 
 @dataclass(frozen=True)
 class Counted:
-    """Numbers of trials: in the study, excluded by each rule, and used."""
+    """Numbers of trials: all trials of the study, those excluded by each rule, and those used."""
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -43,7 +43,10 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials that figures and statistics use; if `answered` is False, `answer` holds no real answers."""
+    """Trials used in figures and statistics, and the numbers of excluded trials.
+
+    If `answered` is False, the study has no answers, and `trials.answer` holds placeholders (False).
+    """
 
     trials: Trials
     answered: bool
@@ -51,7 +54,9 @@ class Sample:
 
 
 def sample_of(frame: Any) -> Sample:
-    """Select the trials of a table (a DataFrame with the columns of `write_tables`) that statistics can use.
+    """Select the trials of a table that statistics can use: measured and, if the study has answers, answered.
+
+    `frame` is a DataFrame with the columns of `write_tables`.
 
     Raises FingerflowError if no trial has been measured.
     """
@@ -74,7 +79,7 @@ def sample_of(frame: Any) -> Sample:
 
 
 def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
-    """Compute all statistics as plain numbers, for `statistics.json` and the page.
+    """Compute all statistics as plain numbers, for `statistics.json` and the HTML report of a study.
 
     - `counted`: numbers of trials, left out by each rule and used.
     - `by_condition`, `by_answer`: an ANOVA of each metric over conditions and over answers, participants being random;

@@ -1,4 +1,7 @@
-"""A trial of partial slip whose stuck area falls in a line, as in the trials of Terekhov & Hayward 2011."""
+"""Synthetic trial of partial slip whose stuck area decreases linearly with the tangential force.
+
+Terekhov & Hayward 2011 measured such a decrease.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -15,8 +18,10 @@ _SWING_HZ = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class LinearSlip(PartialSlip):
-    """A `PartialSlip` with d² = last + (1 - last) (1 - T / T_max)^bend up to the largest load, then a fall to 0 at this
-    load.
+    """A `PartialSlip` trial whose stuck area decreases with the tangential force to `last`, then collapses to 0.
+
+    The stuck area relative to the contact area is d² = last + (1 - last) (1 - T / T_max)^bend, where T is the
+    tangential force; it collapses at the largest one, T_max.
 
     The tangential force may swing: it is T (1 - swing sin²(pi 3 Hz t)), so that T is the largest force so far, which
     the stuck area follows.
@@ -44,7 +49,10 @@ class LinearSlip(PartialSlip):
 
 @dataclass(frozen=True)
 class LinearSlipMotion(PartialSlipMotion):
-    """A `PartialSlipMotion` whose stuck area falls with the load to `last`, in a straight line where `bend` is 1."""
+    """A `PartialSlipMotion` whose relative stuck area decreases to `last` as the tangential force rises.
+
+    It decreases linearly if `bend` is 1.
+    """
 
     last: float = 0.2
     bend: float = 1.0

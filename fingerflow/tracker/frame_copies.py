@@ -1,4 +1,4 @@
-"""Detection of frames that repeat an earlier frame: equal to the last digit, which no camera's noise gives twice."""
+"""Detection of frames that repeat an earlier frame exactly, which camera noise makes impossible for two exposures."""
 
 import hashlib
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ _ALIKE = 1.25  # quotient of squared distances below which two copies fit their 
 
 
 def key_of(blocks: Sequence[NDArray[Any]]) -> bytes:
-    """Return the key of a frame: the digest of the block means of all of its views, equal for equal frames."""
+    """Return a hash of a frame, computed from the block means of all its views; equal frames have equal hashes."""
     return hashlib.blake2b(b"".join(one.tobytes() for one in blocks), digest_size=16).digest()
 
 
 def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the frames that are copies of others.
+    """Return the mask (F,) of frames that are exact copies of another frame.
 
     Of frames that repeat the one before, the first counts. Frames that equal others further away belong to one of both
     places: those that are further from the frames around them are the copies, and both where neither fits better.
@@ -48,5 +48,5 @@ def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArra
 
 
 def _distance_around(distances: NDArray[np.float32], frames: slice) -> float:
-    """Return the largest squared distance of some frames from the frame before them and from the one behind them."""
+    """Return the larger squared distance of consecutive frames to the frame before them and the one after them."""
     return float(np.nanmax(distances[[k for k in (frames.start, frames.stop) if 0 < k < len(distances)], 0], initial=1))

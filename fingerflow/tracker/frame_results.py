@@ -116,7 +116,7 @@ class FrameResults:
         """Compute divergence, curl and strain of the displacement since each point's onset of contact."""
         position = self._on_glass(found.points)
         border = Border(*ellipse)
-        touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance, border)
+        touch = self._touches.add_frames(np.array([self._frames]), covered, position, found.variance, border)
         since = self._entries.see(position[0], touch.begins[0], touch.touching[0], touch.place[0], border)
         among = self._entries.entered[None] & touch.touching
         entered = None

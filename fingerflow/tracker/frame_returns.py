@@ -1,4 +1,4 @@
-"""Detection of frames in which the image jumps and returns: one rule for a recording and for a stream."""
+"""Detection of frames in which the image jumps and then returns; the same rule serves recordings and live streams."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lam
 SquaredDistances = NDArray[Any]
 
 
-class Ways(NamedTuple):
-    """Squared distances (..., rows) that tell whether the image jumps with one to `LONGEST` frames and returns.
+class JumpDistances(NamedTuple):
+    """Squared image distances (..., rows) between the frames of a possible jump and the frames around it.
 
     Attributes:
         into: of the first of these frames from the frame before them.
@@ -41,7 +41,7 @@ class Ways(NamedTuple):
 
 
 class Ordinary(NamedTuple):
-    """What is known of ordinary frames of a recording, or of a stream so far: two squared distances (rows,).
+    """Squared distances (rows,) of ordinary frames in a recording or stream so far: noise and limit of the excess.
 
     Attributes:
         noise: that of frames without motion, or of the slowest.
@@ -53,14 +53,14 @@ class Ordinary(NamedTuple):
 
     @classmethod
     def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
-        """Measure both from the steps (n, rows) of consecutive frames and the excesses (m, rows) of single frames."""
+        """Estimate noise and limit from squared distances (n, rows) of consecutive frames and excesses (m, rows)."""
         usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
         limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
         return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
 
 
-def is_jump(ways: Ways, known: Ordinary) -> bool:
-    """Return whether the image jumps and returns in some row.
+def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
+    """Return True if the image jumps and returns in any row of the distances (a band of lines, the view or the light).
 
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
       jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
@@ -71,35 +71,38 @@ def is_jump(ways: Ways, known: Ordinary) -> bool:
     usual = np.fmax(ways.usual, 1)
     longer = np.maximum(ways.into, ways.out_of) - usual
     most = np.maximum(usual, ways.within)
-    far = excess(ways.into, ways.out_of, most) > _limit(most, known)
+    far = excess(ways.into, ways.out_of, most) > _excess_limit(most, known)
     very_far = excess(ways.into, ways.out_of, usual) > np.maximum(known.limit, _FAR - 1)
     return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
 
 
 def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
-    """Return whether the image may jump with a frame in some row: its step is longer than usual ones nearby.
+    """Return True if the image may jump with a frame: in some row, its step is much longer than usual steps nearby.
 
     Without what is `known` of other frames, by the least excess that may count.
     """
     usual = np.fmax(usual, 1)
-    return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _limit(usual, known))).any())
+    return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _excess_limit(usual, known))).any())
 
 
-def _limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
-    """Return the limits (..., rows) of an excess over usual steps."""
+def _excess_limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
+    """Return the limits (..., rows) above which the `excess` of a distance over usual steps counts as a jump."""
     moving = 1 - np.clip(known.noise, 1, usual) / usual
     result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
     return result
 
 
 def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
-    """Return by how much both ways (..., rows), into frames and out of them, exceed usual steps: a quotient less 1."""
+    """Return by what fraction (..., rows) the smaller of two squared distances exceeds usual steps.
+
+    The two are the distances into and out of some frames. The fraction is 0 for a usual distance, 1 for twice as much.
+    """
     result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
     return result
 
 
 def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
-    """Return the level that ordinary steps stay below, from `NEARBY` squared steps along an axis.
+    """Return the upper limit of ordinary squared distances, from `NEARBY` consecutive ones along an axis.
 
     It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
     for smooth motion, more the more it jerks.
@@ -111,7 +114,7 @@ def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
 
 
 def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (F,) of jumps that return: frames far from both adjacent frames, which are close to each other.
+    """Return the mask (F,) of frames with a jump: far from the frames before and after, which are close to each other.
 
     Real changes persist: skin moves on, a lamp or a knocked camera stays changed. A frame from another moment, torn,
     shifted or of another brightness, is far from both neighbours, while these are as close to the frames beyond them as
@@ -155,7 +158,7 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
 
 
 class _Steps(NamedTuple):
-    """Usual squared distances (F, rows) of consecutive frames before each frame and behind it.
+    """Usual squared distances (F, rows) between consecutive frames, before each frame and after it.
 
     Attributes:
         around: (F - 2, rows), the longer of the steps nearest to the frames before and behind each frame.
@@ -174,7 +177,7 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     known: Ordinary,
 ) -> int:
-    """Return the number of frames of a jump that begins in `frame` and returns to the image of `last`; 0 for no jump.
+    """Return how many frames a jump lasts that begins in `frame` and ends with the image of `last`; 0 if none.
 
     A jump ends when the image of frame `last` is back.
     """
@@ -185,7 +188,7 @@ def _length_of_jump(
             break
         if not usable[back]:
             continue
-        ways = Ways(
+        ways = JumpDistances(
             distances[frame, frame - last - 1],
             distances[back, back - latest - 1],
             distances[back, back - last - 1],
@@ -199,7 +202,7 @@ def _length_of_jump(
 
 
 def _steps(distances: SquaredDistances) -> _Steps:
-    """Return the usual steps before and behind each frame.
+    """Return the usual squared distances between consecutive frames, before each frame and after it.
 
     A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
     is the longer of the nearest step and what is `ordinary` for the next eight, or the median over the recording where
@@ -217,7 +220,10 @@ def _steps(distances: SquaredDistances) -> _Steps:
 
 
 def _ordinary(steps: SquaredDistances) -> SquaredDistances:
-    """Return the level (F, rows) of `ordinary` for the last `NEARBY` steps (F, rows), of the first ones for these."""
+    """Return for each frame (F, rows) the limit `ordinary` of the last `NEARBY` squared steps.
+
+    The first frames, which have fewer steps before them, have the limit of the first `NEARBY` steps.
+    """
     if len(steps) < NEARBY:
         return np.zeros_like(steps)
     result = ordinary(np.lib.stride_tricks.sliding_window_view(steps, NEARBY, axis=0), axis=-1)
@@ -227,7 +233,7 @@ def _ordinary(steps: SquaredDistances) -> SquaredDistances:
 def _far_at_end(
     distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Ordinary
 ) -> NDArray[np.bool_]:
-    """Mark up to the last `LONGEST` usable frames in a mask (F,): those behind a step that is far longer than others.
+    """Return the mask (F,) of frames at the end that follow a far longer step than usual, up to `LONGEST` frames.
 
     Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
@@ -247,7 +253,7 @@ def _far_at_end(
 
 
 def _reversed(distances: SquaredDistances) -> SquaredDistances:
-    """Reorder squared distances as if the frames came in reversed order."""
+    """Return the squared distances of the same frames in reversed order."""
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):

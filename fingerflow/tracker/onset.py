@@ -17,7 +17,7 @@ _NO_PAIR = complex(np.nan, np.nan)
 
 
 class Touching(NamedTuple):
-    """Touch data of N points in F frames: position and time at which each touch began; NaN without a touch.
+    """Current touch of each of N points in F frames: position and time at which it began; NaN without a touch.
 
     Attributes:
         place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
@@ -36,7 +36,9 @@ class Touching(NamedTuple):
 
 
 class Touches:
-    """Touches of the glass by all points, updated as frames are added.
+    """Touch history of all points: whether each point touches the glass, and when and where its touch began.
+
+    It is updated as frames are added.
 
     A touch shorter than `LASTING` frames is discarded: whether the border grazes a point is chance, and the skin keeps
     moving until the contact lasts. A lasting touch is kept, even if the contact leaves the point later.
@@ -63,8 +65,8 @@ class Touches:
         self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
-    def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames, and return the touch data of all points in each of these frames.
+    def add_frames(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
+        """Add F frames in order of time, and return for each of them where and when each point's touch began.
 
         Args:
             frames: (F,) numbers of the frames.
@@ -118,7 +120,7 @@ class Touches:
 
 
 def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """Interpolate where (mm) and when, between two frames, the contact border passed points whose touch begins.
+    """Interpolate where (mm) and when, between two frames, the contact border passed each point that begins to touch.
 
     Return positions (F, N, 2) mm and shares (F, N). The first of the positions (F + 1, N, 2) and of the borders belongs
     to the frame before. A share is the fraction of the step from the previous frame at which the border passed the

@@ -13,7 +13,7 @@ from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHAR
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, key_of
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
-from fingerflow.tracker.frame_returns import NEARBY, Ordinary, Ways, excess, is_far, is_jump, ordinary
+from fingerflow.tracker.frame_returns import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary
 
 Array = NDArray[Any]
 
@@ -181,7 +181,7 @@ class FrameCheck:
         for one in others:
             within, latest = np.maximum(within, one.squared_distance(latest)), one
         out_of, between = (frame.squared_distance(one) for one in (latest, self._last))
-        return is_jump(Ways(into, out_of, between, within, self._usual()), self._known())
+        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._known())
 
     def _usual(self) -> Array:
         """Return the squared distance of consecutive frames so far: the longer of the latest and what is `ordinary`."""

@@ -53,7 +53,7 @@ def streamed(result: xr.Dataset) -> list[Streamed]:
     for k in range(SLIDE.n_frames):
         now = slice(k, k + 1)
         covered = ((onset >= 0) & (onset <= k))[None]
-        touch = touches.go_on(np.array([k]), covered, position[now], unknown, border.at(now))
+        touch = touches.add_frames(np.array([k]), covered, position[now], unknown, border.at(now))
         since = entries.see(position[k], touch.begins[0], touch.touching[0], touch.place[0], border.at(now))
         among = entries.entered[None] & touch.touching
         gradient = (

@@ -12,12 +12,12 @@ def test_lost_triangles_are_missed_by_what_they_had_over_the_mean() -> None:
     density = np.array([[1.0, 1.0, 7.0], [1.0, 1.5, np.nan], [1.0, 2.0, np.nan], [1.0, 1.0, 1.0]])
     contact = np.ones((4, 3), dtype=bool)
     contact[2, 2] = False  # no part of the energy
-    np.testing.assert_allclose(missing.see(density, contact), [0, 7 - 1.25, 0, 0])
+    np.testing.assert_allclose(missing.add_frames(density, contact), [0, 7 - 1.25, 0, 0])
 
 
 def test_batches_go_on_and_all_may_be_lost() -> None:
     missing = MissingEnergy(AREAS)
-    missing.see(np.array([[2.0, 1.0, 3.0]]), np.ones((1, 3), dtype=bool))
+    missing.add_frames(np.array([[2.0, 1.0, 3.0]]), np.ones((1, 3), dtype=bool))
     nothing, part = np.full((1, 3), np.nan), np.array([[np.nan, 1.0, 1.0]])
-    assert missing.see(nothing, np.ones((1, 3), dtype=bool)) == 0  # the energy itself is NaN
-    np.testing.assert_allclose(missing.see(part, np.ones((1, 3), dtype=bool)), [1.0])
+    assert missing.add_frames(nothing, np.ones((1, 3), dtype=bool)) == 0  # the energy itself is NaN
+    np.testing.assert_allclose(missing.add_frames(part, np.ones((1, 3), dtype=bool)), [1.0])

@@ -101,7 +101,7 @@ def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
     at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * 2 + 0.5) * cell - 0.5
     place = rng.uniform((-30, -30), (670, 540), (120, 2))
     way = rng.uniform(-fastest, fastest, (120, 2))
-    may = skin._may_lack_points(touching, place, way, far)
+    may = skin._cells_without_points(touching, place, way, far)
     distance, nearest = cKDTree(place).query(at)
     empty = (skin._in(touching, at) | skin._in(touching, at + 2 * way[nearest])) & (distance > far)
     assert empty.any()

@@ -18,7 +18,7 @@ def test_runs_of_frames_are_counted_as_frame_after_frame() -> None:
     touch, length = Touches(POINTS), np.zeros(POINTS, int)
     start, first = np.full((2, POINTS), -1)
     for some in np.split(np.arange(FRAMES), [1, 3, 20]):
-        place, _, spread, earlier, touching, begins = touch.go_on(
+        place, _, spread, earlier, touching, begins = touch.add_frames(
             some, covered[some], position[some], variance[some], border.at(some)
         )
         for k, frame in enumerate(some):
@@ -55,5 +55,5 @@ def test_a_touch_begins_where_the_border_passes() -> None:
     passed = start + 0.1 * (start - 1) / 0.9
     passed[3], passed[4], passed[5] = position[2, 3, 0], position[0, 4, 0], position[1, 5, 0]
     touch = Touches(len(start))
-    place, *_ = touch.go_on(np.arange(3), covered, position, np.zeros(covered.shape, np.float32), border)
+    place, *_ = touch.add_frames(np.arange(3), covered, position, np.zeros(covered.shape, np.float32), border)
     np.testing.assert_allclose(place[-1, :, 0], passed, atol=1e-12)

@@ -215,13 +215,15 @@ class DisplacementStage(Stage):
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
         if len(some) == len(indices):
-            touching = touch.go_on(indices, covered, position, variance, self._border.at(indices))
+            touching = touch.add_frames(indices, covered, position, variance, self._border.at(indices))
         else:
             unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
             touching = Touching(np.full_like(position, np.nan), *unknown, *none)
             if len(some):
                 frames = indices[some]
-                gone_on = touch.go_on(frames, covered[some], position[some], variance[some], self._border.at(frames))
+                gone_on = touch.add_frames(
+                    frames, covered[some], position[some], variance[some], self._border.at(frames)
+                )
                 for whole, part in zip(touching, gone_on, strict=True):
                     whole[some] = part
         if self._fixed is not None:

@@ -16,7 +16,9 @@ Values = NDArray[np.floating]
 def border_density(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """Return the mean energy density (n,), mJ/mm^3, of the triangles along the contact border; 0 where there are none.
+    """Return the mean strain energy density (n,), mJ/mm^3, of triangles near the contact border, in n frames.
+
+    It is 0 in frames without such triangles.
 
     Args:
         density: (n, M) mJ/mm^3, NaN for triangles that do not count.

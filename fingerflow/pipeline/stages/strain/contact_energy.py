@@ -1,4 +1,4 @@
-"""Strain energy of all skin in contact, from a displacement field that is continued to the contact border.
+"""Strain energy of all skin in contact, from a displacement field that extends from the points to the contact border.
 
 A growing contact covers skin at its border that has just touched: there the displacement u since the onset is zero. In
 a frame, with r the relative radius in the border's ellipse and places z in its unit disc,
@@ -39,14 +39,14 @@ _VANISHING = 0.7
 
 
 class FrameEnergy(NamedTuple):
-    """Strain energy of a contact, mJ per mm of depth, and its standard deviation."""
+    """Strain energy of the contact in one frame and its standard deviation, both in mJ per mm of skin depth."""
 
     energy: float
     deviation: float
 
 
 class Solid(NamedTuple):
-    """Strain measure, Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`."""
+    """Strain measure and elastic constants: Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`."""
 
     measure: str
     young_modulus_mpa: float
@@ -76,7 +76,7 @@ class ContactEnergy:
         self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
         border: Border,
     ) -> Iterator[FrameEnergy]:  # fmt: skip
-        """Yield the energy of each of n frames; NaN where the displacement does not fall towards the border.
+        """Yield the energy of each of n frames; NaN where displacements do not decrease towards the contact border.
 
         Errors of neighbours correlate over less than the field can resolve. They act as independent errors whose
         variance is that of a point times the sum of its correlations with all points.
@@ -94,7 +94,7 @@ class ContactEnergy:
         for k, (center, axes, angle) in enumerate(zip(*border, strict=True)):
             some = np.flatnonzero(counts[k])
             moved, error = displacement[k, some], of_point[k, some]
-            if not _vanishes(moved, error, depth[k, some]):
+            if not _falls_to_border(moved, error, depth[k, some]):
                 yield FrameEnergy(np.nan, np.nan)
                 continue
             turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -104,20 +104,20 @@ class ContactEnergy:
         error = np.sqrt(variance)[:, None]
         weighed = moved / error
         field = _fit(self._basis.at(along / axes) / error, weighed, self._basis.prior)
-        energy, forces, left = self._of_field(field, turn, axes)
+        energy, forces, left = self._energy_of_field(field, turn, axes)
         mean = energy + np.trace(left)
         # Of a quadratic form of Gaussian numbers, in each of two components.
         by_points = np.sum(forces * (field.covariance @ forces)) + np.sum(left * left.T)
         step = BORDER_MM * np.sqrt(_INDEPENDENT_MM / perimeter(axes[None])[0])
         other = _fit(self._basis.at(along / (axes + step)) / error, weighed, self._basis.prior)
-        larger, _, more = self._of_field(other, turn, axes + step)
+        larger, _, more = self._energy_of_field(other, turn, axes + step)
         by_border = larger + np.trace(more) - mean
         by_tracking = 2 * mean * _COMMON_MM / np.sqrt(np.mean(moved**2) + _COMMON_MM**2)
         deviation = np.sqrt(by_points + by_border**2 + by_tracking**2)
         return FrameEnergy(float(mean), float(deviation))
 
-    def _of_field(self, field: "_Field", turn: Array, axes: Array) -> tuple[float, Array, Array]:
-        """Return the energy of the mean field, its derivative (K, 2) by the coefficients, and Q C (K, K).
+    def _energy_of_field(self, field: "_Field", turn: Array, axes: Array) -> tuple[float, Array, Array]:
+        """Return a field's energy, its gradient (K, 2) in the coefficients, and energy matrix times covariance (K, K).
 
         C is the covariance of the coefficients of a component, and Q that of the energy, a quadratic form in them to
         first order: the trace of Q C is the mean energy of what is left uncertain.
@@ -146,8 +146,11 @@ class _Field(NamedTuple):
     covariance: Array  # (K, K) of each component
 
 
-def _vanishes(moved: Array, variance: Array, depth: Array) -> bool:
-    """Return whether displacements (N, 2) mm at depths (N,) mm inside the border fall towards it, but for noise."""
+def _falls_to_border(moved: Array, variance: Array, depth: Array) -> bool:
+    """Return True if displacements (N, 2) mm decrease towards the contact border, within noise.
+
+    `variance` (N,) is in mm^2; `depth` (N,) is the distance in mm of each point from the border, positive inside.
+    """
     strips = [(depth >= k * _STRIP_MM) & (depth < (k + 1) * _STRIP_MM) for k in range(2)]
     if not all(one.any() for one in strips):
         return False
@@ -157,7 +160,9 @@ def _vanishes(moved: Array, variance: Array, depth: Array) -> bool:
 
 
 def _fit(functions: Array, moved: Array, prior: Array) -> _Field:
-    """Return the coefficients (K, 2) given displacements (N, 2) and functions (N, K), both over their noise.
+    """Fit coefficients (K, 2) of the basis functions (N, K) to displacements (N, 2), by Bayesian regression.
+
+    Functions and displacements are divided by the standard deviations of the displacements.
 
     The noise is as large as stated, or as the residuals if they are larger.
     """
@@ -175,7 +180,7 @@ def _fit(functions: Array, moved: Array, prior: Array) -> _Field:
 
 
 class _Basis:
-    """Functions on the unit disc that vanish on its border, and the places of a quadrature.
+    """Orthonormal polynomials on the unit disc that are zero at its border, and quadrature points and weights.
 
     Attributes:
         prior: (K,) standard deviations of the coefficients, relative to each other.
@@ -203,13 +208,13 @@ class _Basis:
         self.prior = (self._powers.sum(1) + 2.0) ** -_SMOOTHNESS
 
     def at(self, places: Array) -> Array:
-        """Return the functions (N, K) at places (N, 2)."""
+        """Return the K basis functions (N, K) at N positions (N, 2) in the unit disc."""
         inside, each = self._rims_and_powers(places)
         result: Array = inside * (each @ self._mixed)
         return result
 
     def _rims_and_powers(self, places: Array, powers: NDArray[np.integer] | None = None) -> tuple[Array, Array]:
-        """Return 1 - r^2 (N, 1) and x^i y^j (N, K) at places (N, 2)."""
+        """Return 1 - r^2 (N, 1) and the monomials x^i y^j (N, K) at positions (N, 2) in the unit disc."""
         i, j = (self._powers if powers is None else powers).T
         x, y = (np.vander(one, _DEGREE + 1, increasing=True) for one in places.T)
         return 1 - (places**2).sum(1, keepdims=True), x[:, i] * y[:, j]

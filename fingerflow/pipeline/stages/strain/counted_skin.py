@@ -1,4 +1,4 @@
-"""Selection of the triangles on which strain is computed, with reference position and frame of every corner."""
+"""Selection of the triangles on which strain is computed, with reference position and frame of each corner."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Points = NDArray[np.float64]
 
 
 class CountedSkin:
-    """Triangles of tracked points, each with one reference frame for all three corners.
+    """Triangles of tracked points on which strain is computed, each with one reference frame for all three corners.
 
     Separate corners belong to triangles with advected skin, or whose shape by positions of onset differs from that of
     the skin. Each corner is then a point of its own, which counts from the frame in which the last of the three has
@@ -36,9 +36,9 @@ class CountedSkin:
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, places = stage.reference.copy(), stage.reference_px.copy()
         reference[stage.entered] = places[stage.entered] = np.nan
-        plain, separate = _triangulate(reference), self._of_entered()
+        plain, separate = _triangulate(reference), self._advected_triangles()
         if stage.by_onsets:
-            apart = self._collapsed(plain, onset[plain].max(1, initial=0), reference)
+            apart = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
             plain, separate = plain[~apart], np.concatenate([plain[apart], separate])
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
@@ -58,8 +58,8 @@ class CountedSkin:
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
-    def _of_entered(self) -> NDArray[np.int32]:
-        """Return the Delaunay triangles (M, 3) of points that have touched, with a corner advected into the contact."""
+    def _advected_triangles(self) -> NDArray[np.int32]:
+        """Return the triangles (M, 3) of touching points that have a corner which was advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
@@ -68,11 +68,10 @@ class CountedSkin:
         triangles = _triangulate(np.where((stage.onset >= 0)[:, None], places, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
-    def _collapsed(
+    def _distorted_by_onsets(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
     ) -> NDArray[np.bool_]:
-        """Return a mask (M,) of triangles whose reference shape is distorted, as the corners touched at different
-        times.
+        """Return the mask (M,) of triangles whose reference shape is distorted by different onset times of the corners.
 
         Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
         some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
@@ -89,8 +88,9 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the tracked points, followed by the
-        separate corners.
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the tracked points in n frames.
+
+        Separate corners follow the points: copies of points, for triangles with another reference frame.
 
         Separate corners are copies of points for triangles with another reference frame.
         """

@@ -1,11 +1,13 @@
-"""Error of the strain energy that comes from triangles in contact whose strain is unknown."""
+"""Error of the strain energy caused by triangles in contact whose strain is unknown."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 class MissingEnergy:
-    """Estimator of the strain-energy error by triangles with unknown strain; frames must be added in order of time.
+    """Estimator of the error of the strain energy that triangles with unknown strain cause.
+
+    Frames must be added in order of time.
 
     Unknown triangles count with the mean density of the others (`ops.fields.triangle_strain`), but their last known
     density was different. A point that is lost for a frame has some six triangles: on a slide up to 2 % of the energy.
@@ -16,8 +18,11 @@ class MissingEnergy:
         self._area = areas
         self._last = np.zeros(len(areas))  # last known energy of each per depth
 
-    def see(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the energy error (n,) mJ/mm in n more frames, from energy densities (n, M) mJ/mm^3, NaN if unknown."""
+    def add_frames(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return the energy errors (n,) mJ/mm of the next n frames, from energy densities (n, M) mJ/mm^3.
+
+        Densities are NaN where they are unknown.
+        """
         result, energies = np.zeros(len(density)), density * self._area
         known = np.isfinite(energies)
         seen, lost = in_contact & known, in_contact & ~known

@@ -117,7 +117,7 @@ class StrainStage(Stage):
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
         between_std: torch.Tensor,
     ) -> None:  # fmt: skip
-        """Store the energies of a batch of frames, of the triangles and of the whole contact."""
+        """Store strain energies and their deviations for some frames: of the triangles, and of all skin in contact."""
         frames, border = batch.indices, self._border.at(batch.indices)
         position = self.results["position"][frames]
         beside = border_density(
@@ -125,7 +125,7 @@ class StrainStage(Stage):
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
         strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
-        squares = (between_std.cpu().numpy(), self._missing.see(density, touching), strip)
+        squares = (between_std.cpu().numpy(), self._missing.add_frames(density, touching), strip)
         deviation = np.sqrt(sum(np.square(one) for one in squares))
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)
@@ -140,7 +140,10 @@ class StrainStage(Stage):
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
-        """Return arguments of `ContactEnergy.of_frames`; no point counts if displacement is not since the onset."""
+        """Return position, displacement, variance and mask of the points for `ContactEnergy.of_frames`.
+
+        The mask is False for all points if displacements are not relative to the onset of contact.
+        """
         stage = self.trial.stage(DisplacementStage)
         counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
         counts[:, stage.entered] = False
@@ -151,7 +154,7 @@ class StrainStage(Stage):
     def _rim_area(
         self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
     ) -> NDArray[np.float64]:
-        """Return the area (n,) mm^2 of the contact outside of the triangles that touch."""
+        """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
         first, second, third = (position[:, one] for one in self._skin.triangles.T)
         (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
         areas = abs(ax * by - ay * bx).T / 2
@@ -189,8 +192,7 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return correlations of tracking errors: between the corners of triangles (M, 3), and between K pairs of near
-    points.
+    """Return correlations of tracking errors: between corners of triangles (M, 3), and in K pairs of near points.
 
     The pairs (K, 2) and their correlations (K,) are the second and third value.
 

@@ -1,4 +1,4 @@
-"""Detection of skin in contact that has no tracked points, because it lay outside the region of seeding.
+"""Detection of skin in contact without tracked points, because it was outside the region where points were seeded.
 
 The criterion is material, not density. A position x in a picture shows the skin that lay at X = x - u in the key frame
 of the nearest point, where u is the displacement of that point since. The skin is new if X lies outside the region
@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 
 class Known(NamedTuple):
-    """Positions of all tracked points in the current frame and in the frame in which each was seeded.
+    """Positions of all tracked points in the current frame, and in the frame in which each was seeded.
 
     Attributes:
         place: (N, 2) px of the topographic view, measured or expected position.
@@ -53,7 +53,7 @@ class NewSkin:
         self._before: tuple[Points, Points] | None = None  # positions (N, 2) and centre of contact, at the last call
 
     def begin(self, contact: NDArray[np.floating], place: Points) -> None:
-        """Store the positions (N, 2) px of the topographic view at which the first points were seeded.
+        """Store the positions (N, 2), px of the topographic view, at which the first points were seeded.
 
         `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
@@ -62,7 +62,7 @@ class NewSkin:
             self._before = self._on_contact(place), self._middle(touching)
 
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
-        """Return the mask (h, w) of the topographic view in which new points must be seeded; None if nowhere.
+        """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
         Points are needed where new skin is in contact, or will be before the next call but one if points and contact
         keep their speeds. It must lie farther than half a window from any point, over an area of at least a window.
@@ -84,7 +84,7 @@ class NewSkin:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
         tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
-        some = np.flatnonzero(self._may_lack_points(touching, place[tracked], way[tracked], far))
+        some = np.flatnonzero(self._cells_without_points(touching, place[tracked], way[tracked], far))
         if not len(some):
             return None
         rows, columns = np.indices(touching.shape)
@@ -110,8 +110,8 @@ class NewSkin:
         wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
 
-    def _may_lack_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return a flat mask of cells, in contact now or soon, that may have no point (N, 2) within `far` px.
+    def _cells_without_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
+        """Return the flat mask of grid cells, in contact now or soon, that have no tracked point within `far` px.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -151,7 +151,10 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return a mask (K,) of positions (K, 2) px whose skin lay outside the seeding region of the nearest point."""
+        """Return the mask (K,) of positions (K, 2) px whose skin was outside the region in which points were seeded.
+
+        The skin is traced back to the frame in which the nearest point was seeded.
+        """
         was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
@@ -170,7 +173,7 @@ class NewSkin:
         return np.asarray(warped > 0)
 
     def _near_points(self, place: Points) -> Mask:
-        """Return the mask (h, w) of pixels closer to a tracked point than half the median point spacing."""
+        """Return the mask (h, w) of pixels whose nearest point is closer than half the median point spacing."""
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
@@ -182,7 +185,7 @@ class NewSkin:
 
 
 def _cell_centres(number: NDArray[np.integer], cell_px: int) -> Points:
-    """Return the px coordinate of the cell centre for each index of a sampled cell along an axis.
+    """Return the px coordinates of the centres of grid cells from their indices along one axis.
 
     Every `_STEP`-th cell is sampled.
     """

@@ -113,9 +113,7 @@ class TrackingStage(Stage):
                 self._skip_frames(indices)
 
     def _skip_frames(self, indices: NDArray[np.intp]) -> None:
-        """Mark frames as unusable, and extrapolate the expected position of each point over these frames at its last
-        speed.
-        """
+        """Mark frames as unusable, and extrapolate the position of each point over them at its last velocity."""
         if not self._seeded:
             self._skipped.extend(indices)
             return
@@ -206,8 +204,7 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
-        """Seed points in new skin of an image (1, 1, h, w), and return their tracking results (1, K); None without new
-        skin.
+        """Seed points in skin that has none yet, and return their tracking results (1, K); None without such skin.
 
         `found` (1, N) are the tracking results of the earlier points.
         """
@@ -236,7 +233,7 @@ class TrackingStage(Stage):
         return self._start_tracking(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Extend the result arrays for more points; return whether that was possible, and warn at a limit."""
+        """Extend the result arrays by `more` points; return False, with a warning, if this would exceed a limit."""
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
