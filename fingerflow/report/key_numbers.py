@@ -46,7 +46,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]
     """Return table rows (force, areas, divergence, curl, displacement, energy) with ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
-    energy the uncertainty of the border. For areas it is the scatter from frame to frame (`scatter`).
+    energy the uncertainty of the border. For areas without one it is the scatter from frame to frame (`scatter`).
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
@@ -57,7 +57,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]
         words, values = variable.words, variable.shown_values(result[name].values)
         if f"{name}_std" in result:
             spread = variable.shown_values(result[f"{name}_std"].values)
-        elif name == "real_contact_area":
+        elif name in ("gross_contact_area", "real_contact_area"):
             spread = scatter(values)
             words += " (± scatter)"
         else:

@@ -93,7 +93,8 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
 
     Points: within three standard deviations of the difference of two estimates, sqrt(2) of the stated one, beside what
     prediction and renewal leave (0.01 px, tests/test_engines_agree.py); nearly all within the latter alone. The median
-    divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). A point's: :func:`_divergence_tolerance`.
+    divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). A point's:
+    :func:`_divergence_tolerance`.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
