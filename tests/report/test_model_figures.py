@@ -38,7 +38,7 @@ def test_a_trial_with_its_corridor_collapse_and_fit(axes: Axes) -> None:
     fit = fit_friction(trial.stuck_area[loading], trial.load_ratio[loading], resamples=100)
     partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict, fit)
     collapse = f"collapse, {with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
-    assert {"measured", "± 5 %", collapse} < texts(axes)
+    assert {"not slipped", "± 5 %", collapse} < texts(axes)
     assert len(texts(axes)) == 4
     band = next(patch for patch in axes.patches if patch.get_label() == "± 5 %").get_extents()
     edges = axes.transData.inverted().transform(band)[:, 0]
@@ -61,7 +61,7 @@ def test_an_inconclusive_trial_draws_what_there_is(axes: Axes) -> None:
     trial = simulate_trial(0.8, 0.4, seed=2, reached=0.6)
     verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
     partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict)
-    assert texts(axes) == {"measured"}
+    assert texts(axes) == {"not slipped"}
     over_time = Figure().subplots()
     partial_slip.draw_over_time(over_time, trial.time, trial.stuck_area, verdict)
     assert texts(over_time) == set()
