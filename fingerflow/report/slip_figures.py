@@ -97,6 +97,8 @@ def draw_trial(
         "Stuck area over contact area, d², against the friction ratio T/N, tangential over normal force; yellow: "
         f"T/N within {100 * CORRIDOR:g} % of its value at the complete loss of adhesion."
     ]
+    if printed_area is not None:
+        said.append("Crosses: d² by the printed criterion, displacement below 40 µm.")
     if collapses:
         critical = with_uncertainty(verdict.critical_area, verdict.critical_area_std)
         said.append(f"Dotted, with a band of ± one standard deviation: critical d² {critical}. Thick: its collapse.")
