@@ -533,6 +533,7 @@ private:
     void fill(float limit) {
         const std::int64_t down = cells_of(plane_.height, kCellBlock), across = cells_of(plane_.width, kCellBlock);
         std::vector<float> densest(static_cast<std::size_t>(down * across));
+        if (densest.empty()) return;
         FINGERFLOW_PICK(densest_of_blocks)(plane_, density_, among_, densest.data());
         const float most = *std::max_element(densest.begin(), densest.end());
         std::vector<unsigned char> reached(densest.size());
