@@ -83,7 +83,11 @@ class StrainStage(Stage):
         self._missing = MissingEnergy(self._areas)
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
-        self._border = Border.of(self.trial.stage(ContactStage).series)
+        series = self.trial.stage(ContactStage).series
+        self._border = Border.of(series)
+        # Skin that touches from the first frame on has no onset, so that its displacement need not vanish at the border.
+        areas = series["gross_contact_area"]
+        self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
 
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
@@ -147,7 +151,7 @@ class StrainStage(Stage):
         stage = self.trial.stage(DisplacementStage)
         counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
         counts[:, stage.entered] = False
-        counts &= stage.by_onsets
+        counts &= stage.by_onsets and self._begins_free
         variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
         return self.results["position"][frames], moved.displacement, variance, counts
 
