@@ -60,13 +60,13 @@ def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
 def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
     recorded: list[tuple[ChainPress, xr.Dataset]],
 ) -> None:
-    """To 1 um/mm in every frame from 5 mm² on, 0.5 RMS, for each friction and for their difference of 3.8."""
+    """To 1.2 um/mm in every frame from 5 mm² on, 0.6 RMS, for each friction and for their difference of 3.8."""
     found = [inner_divergence(press, result) for press, result in recorded]
     errors = [measured - chain for measured, chain in found]
     for error in (*errors, errors[0] - errors[1]):
         assert np.isfinite(error).sum() > 40
-        assert np.sqrt(np.nanmean(error**2)) < 0.5
-        assert np.nanmax(np.abs(error)) < 1.0
+        assert np.sqrt(np.nanmean(error**2)) < 0.6
+        assert np.nanmax(np.abs(error)) < 1.2
     (low, chain_low), (high, chain_high) = found
     assert chain_low[-1] - chain_high[-1] == pytest.approx(3.8, abs=0.2)
     assert low[-1] - high[-1] == pytest.approx(chain_low[-1] - chain_high[-1], abs=1.0)
