@@ -203,7 +203,8 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     assert re.fullmatch(rf"\d+ of {POINTS}", page.evaluate(NUMBER, "Points tracked"))
     assert page.evaluate(NUMBER, "Dropped") == "0 frames"
     # The source repeats itself, of which the first copy counts as one.
-    page.wait_for_function(f"/^[1-9][0-9]* ([1-9][0-9]* repeated, )?[1-9][0-9]* dark/.test(({NUMBER})('Not counted'))")
+    counted = "/^[1-9][0-9]* ([1-9][0-9]* repeated, )?[1-9][0-9]* dark/"
+    page.wait_for_function(f"{counted}.test(({NUMBER})('Not counted'))")
     before = page.evaluate(NUMBER, "Frames")
     page.wait_for_function(f"({NUMBER})('Frames') != {before!r}")
     legend = " ".join(page.inner_text("#contactLegend").split())

@@ -85,7 +85,7 @@ class StrainStage(Stage):
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
         self._border = Border.of(series)
-        # Skin that touches from the first frame on has no onset, so that its displacement need not vanish at the border.
+        # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
 
