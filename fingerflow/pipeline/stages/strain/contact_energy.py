@@ -36,6 +36,7 @@ _COMMON_MM = 4e-4
 # one of 0.38 times that in the inner one; measured on presses, with the border's error, 0.4 to 0.65.
 _STRIP_MM = 0.4
 _VANISHING = 0.7
+_BORDER_FRAMES = 8  # in which the relative effect of the border is taken as constant: it needs a second fit
 
 
 class FrameEnergy(NamedTuple):
@@ -67,6 +68,7 @@ class ContactEnergy:
         self, solid: Solid, pairs: NDArray[np.integer], correlation: NDArray[np.floating], points: int
     ) -> None:
         self._solid, self._basis = solid, _Basis()
+        self._fitted, self._by_border = 0, 0.0
         inside = (pairs < points).all(1)
         first, second = pairs[inside].T
         both = np.concatenate((first, second)), np.concatenate((second, first))
@@ -108,13 +110,21 @@ class ContactEnergy:
         mean = energy + np.trace(left)
         # Of a quadratic form of Gaussian numbers, in each of two components.
         by_points = np.sum(forces * (field.covariance @ forces)) + np.sum(left * left.T)
+        if self._fitted % _BORDER_FRAMES == 0:
+            self._by_border = self._share_of_border(along, turn, axes, weighed, error, mean)
+        self._fitted += 1
+        by_tracking = 2 * mean * _COMMON_MM / np.sqrt(np.mean(moved**2) + _COMMON_MM**2)
+        deviation = np.sqrt(by_points + (self._by_border * mean) ** 2 + by_tracking**2)
+        return FrameEnergy(float(mean), float(deviation))
+
+    def _share_of_border(
+        self, along: Array, turn: Array, axes: Array, weighed: Array, error: Array, energy: float
+    ) -> float:
+        """Return the relative change of the energy for a border that lies one standard deviation further out."""
         step = BORDER_MM * np.sqrt(_INDEPENDENT_MM / perimeter(axes[None])[0])
         other = _fit(self._basis.at(along / (axes + step)) / error, weighed, self._basis.prior)
         larger, _, more = self._energy_of_field(other, turn, axes + step)
-        by_border = larger + np.trace(more) - mean
-        by_tracking = 2 * mean * _COMMON_MM / np.sqrt(np.mean(moved**2) + _COMMON_MM**2)
-        deviation = np.sqrt(by_points + by_border**2 + by_tracking**2)
-        return FrameEnergy(float(mean), float(deviation))
+        return float((larger + np.trace(more)) / energy - 1)
 
     def _energy_of_field(self, field: "_Field", turn: Array, axes: Array) -> tuple[float, Array, Array]:
         """Return a field's energy, its gradient (K, 2) in the coefficients, and energy matrix times covariance (K, K).
