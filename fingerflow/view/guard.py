@@ -29,8 +29,7 @@ class Guard:
     def __init__(self, app: ASGIApp, port: int) -> None:
         self._app = app
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._token = PageToken(port)
-        self.token = self._token.text
+        self.token = PageToken(port)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request that fails the checks, and pass any other to the application; only HTTP is served."""
@@ -54,9 +53,9 @@ class Guard:
         ):
             return PlainTextResponse("pages of other sites are refused", 403)
         query = scope["query_string"].decode("latin-1")
-        if scope["method"] == "GET" and scope["path"] == "/" and self._token.is_in_query(query):
-            return HTMLResponse(redirect("/"), headers={"Set-Cookie": self._token.set_cookie})
-        if not self._token.is_in_cookies(headers.get("cookie", "")):
+        if scope["method"] == "GET" and scope["path"] == "/" and self.token.is_in_query(query):
+            return HTMLResponse(redirect("/"), headers={"Set-Cookie": self.token.set_cookie})
+        if not self.token.is_in_cookies(headers.get("cookie", "")):
             return PlainTextResponse("open the whole address that `fingerflow view` has printed", 403)
         if scope["method"] not in ("GET", "HEAD") and HEADER not in headers:
             return PlainTextResponse("pages of other sites are refused", 403)

@@ -66,7 +66,7 @@ class Served:
         self._socket.listen()  # requests before it runs wait in the queue
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
-        self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
+        self.address = f"http://{_HOST}:{self.port}/?token={guard.token.text}"
         config = uvicorn.Config(
             guard,
             http=Connection,
