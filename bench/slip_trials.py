@@ -6,7 +6,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from fingerflow.synthetic import PartialSlip
+from fingerflow.synthetic import LinearSlip
+from fingerflow.synthetic.linear_slip import LinearSlipMotion
 from fingerflow.synthetic.partial_slip import PartialSlipMotion
 
 #: Laws by which displacement begins beside the stick region: powers of the distance, the half-space's
@@ -17,39 +18,33 @@ _STEEP = 0.5  # of the creep, for the same reason
 
 
 @dataclass(frozen=True, kw_only=True)
-class LawSlip(PartialSlip):
-    """A `PartialSlip` with a law of `LAWS` beside its stick border.
+class LawSlip(LinearSlip):
+    """A `LinearSlip` with a law of `LAWS` beside its stick border.
 
     Args:
         law: with x the relative distance from the border, the skin has moved by `creep` L(x).
-        last: d² at which a straight line d² = 1 - (1 - last) T / T_max ends, to fall to 0 at this load; None
-            for d² by the model. With it kinetic friction is the smaller one.
+        linear: whether d² falls in a straight line; else it follows the model, as in `PartialSlip`.
     """
 
     law: str = "rounded"
-    last: float | None = None
+    linear: bool = False
 
     @cached_property
     def motion(self) -> "LawSlipMotion":
         model = super().motion
         values = {one.name: getattr(model, one.name) for one in fields(model)}
-        return LawSlipMotion(**values, law=self.law, last=self.last)
+        return LawSlipMotion(**values, law=self.law, linear=self.linear)
 
 
 @dataclass(frozen=True)
-class LawSlipMotion(PartialSlipMotion):
+class LawSlipMotion(LinearSlipMotion):
     """The motion of a `LawSlip`."""
 
     law: str = "rounded"
-    last: float | None = None
+    linear: bool = False
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        if self.last is None:
-            return super().stuck_radius(progress)
-        left = (self.full_slip - progress.double()) / (self.full_slip - self.loaded)
-        line = 1 - (1 - self.last) * progress.double() / self.loaded
-        area = torch.where(left < 1, self.last * left.clamp(min=0), line)
-        return torch.where(area > 1e-12, area.clamp(min=1e-12).sqrt(), 0.0).to(progress.dtype)
+        return super().stuck_radius(progress) if self.linear else PartialSlipMotion.stuck_radius(self, progress)
 
     def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
         if self.law == "rounded":

@@ -118,6 +118,7 @@ def trial(seed: int, law: str = "rounded", curve: str = "model") -> LawSlip:
     return replace(
         model,
         kinetic_friction=static * draw.uniform(0.5, 0.9),
+        linear=True,
         last=draw.uniform(0.10, 0.34),
         collapse=draw.uniform(0.13, 0.31),
     )
@@ -144,9 +145,9 @@ def measured(name: str, known: LawSlip) -> dict[str, Cell]:
     above = (printed - share)[partial]
     stored = result["stuck_ratio"].attrs
     verdict, fit = json.loads(stored["verdict"]), json.loads(stored.get("friction_fit", "{}"))
-    follows_model = known.last is None
+    follows_model = not known.linear
     critical = float(critical_stuck_area(known.static_friction, known.kinetic_friction).nan_to_num(0.0))
-    if known.last is not None:
+    if known.linear:
         critical = known.last
     abrupt = critical > SMALLEST_AREA
     outcome = "vanishes abruptly" if abrupt else "diminishes"
