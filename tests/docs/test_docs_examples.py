@@ -1,4 +1,4 @@
-"""Every example of the documentation runs: blocks of Python on pages, `>>>` of the reference, scripts of the gallery."""
+"""Every example of the documentation runs: blocks on pages, `>>>` of the reference, scripts of the gallery."""
 
 import doctest
 import re

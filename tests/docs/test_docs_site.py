@@ -47,7 +47,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for module in ("sphinx", "furo", "myst_parser", "sphinx_gallery"):
         pytest.importorskip(module, reason="the site is not built: pip install 'fingerflow-engine[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "sphinx_gallery_conf.filename_pattern=none"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-D",
+        "sphinx_gallery_conf.filename_pattern=none",
+    ]
     built = subprocess.run([*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     return folder
