@@ -24,7 +24,7 @@ extensions = [
     "plain_docstrings",
     "generated_pages",
 ]
-exclude_patterns = ["site", "build_tools", "gallery", "generated/scripts"]
+exclude_patterns = ["site", "build_tools", "gallery", "release", "generated/scripts"]
 
 # Docstrings are plain text in which `this` is code.
 default_role = "code"
@@ -37,7 +37,7 @@ autodoc_typehints = "signature"
 autodoc_default_options = {"members": True}
 python_use_unqualified_type_names = True
 
-myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 sphinx_gallery_conf = {
     "examples_dirs": copy_scripts(),

@@ -118,4 +118,6 @@ def test_versions_are_equal() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert project["version"] == fingerflow.__version__
     assert re.search(rf"^version: {re.escape(fingerflow.__version__)}$", citation, re.MULTILINE)
+    recipe = (ROOT / "docs" / "release" / "recipe.yaml").read_text(encoding="utf-8")
+    assert f"  version: {fingerflow.__version__}\n" in recipe
     assert f"## {fingerflow.__version__}" in changes
