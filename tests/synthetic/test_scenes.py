@@ -131,7 +131,6 @@ def test_press_force_rises_smoothly_and_area_follows_it() -> None:
     assert (area == 0).sum() > 12
 
 
-
 def test_slide_peels_until_it_slips_as_a_whole() -> None:
     scene = Slide()
     share = np.array([scene.stuck_share(frame) for frame in range(scene.n_frames)])
