@@ -87,7 +87,7 @@ class Chains:
         return torch.tensor(sums, dtype=torch.float64).reshape(self.shape)
 
 
-def moved(
+def advance_chains(
     chains: Chains,
     start: Motion,
     coefficient: Tensor,

@@ -74,7 +74,7 @@ PARAMETERS = {
 PARAMETERS["fitted"] = PARAMETERS["paper"].softer(5.6)
 
 
-def named(parameters: "str | SkinParameters") -> SkinParameters:
+def parameter_set(parameters: "str | SkinParameters") -> SkinParameters:
     """Return a parameter set by its name; a set given instead of a name is checked and returned.
 
     Raises:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fingerflow.models.skin_chain import PressedChain as Chain
 from fingerflow.models.skin_chain import follow
-from fingerflow.models.skin_parameters import named
+from fingerflow.models.skin_parameters import parameter_set
 from fingerflow.synthetic.grid_spline import cubic_weights
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
@@ -128,7 +128,7 @@ def pressed_chain(
     """Return a skin chain at 257 evenly spaced times of a force (N) that rises as sin² in a time (s)."""
     time = torch.linspace(0, rise_s, _TIMES, dtype=torch.float64)
     load = torch.from_numpy(force * force_share(np.linspace(0, 1, _TIMES)))
-    return follow(friction, time, load, parameters=named(parameters).softer(softness), elements=elements)
+    return follow(friction, time, load, parameters=parameter_set(parameters).softer(softness), elements=elements)
 
 
 def force_share(progress: Array) -> Array:

@@ -6,11 +6,11 @@ import torch
 from fingerflow.models.skin_forces import Array, Chain
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_motion import Chains
-from fingerflow.models.skin_parameters import named
+from fingerflow.models.skin_parameters import parameter_set
 
 
 def chain_of(elements: int = 41) -> Chain:
-    return Chains.of(named("lab"), elements, torch.Size(())).single(0)
+    return Chains.of(parameter_set("lab"), elements, torch.Size(())).single(0)
 
 
 def nodes_of(chain: Chain) -> Array:

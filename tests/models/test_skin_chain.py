@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from chains import begun, chain_of, energy, held_load, nodes_of
-from torch import Tensor
 
 from bench.suites.skin_chain import runge_kutta
 from fingerflow.models import skin_implicit
@@ -207,44 +206,23 @@ def test_a_tangential_load_is_carried_by_friction() -> None:
     assert over.friction_force.sum().item() == pytest.approx(-0.3, rel=0.02)
 
 
-def test_friction_that_varies_along_the_plate() -> None:
-    """Slippery to the right: the skin spreads there, and the bone is pushed aside."""
-    found = press(lambda time, x: torch.where(x > 0, 0.0, 1.0), elements=101)
-    assert bool((found.coefficient[:50] == 1).all())
-    assert bool((found.friction_force[51:] == 0).all())
-    assert found.displacement[:, 0].max() > 2 * -found.displacement[:, 0].min()
-    assert found.balance < 3e-6
-
-
-def test_a_force_trace_and_friction_in_time() -> None:
-    """To 3 N and back; when the plate begins to vibrate, friction falls and the skin lets go."""
+def test_a_force_trace() -> None:
+    """To 3 N and back."""
     time = torch.tensor([0.0, 0.5, 1.0, 1.5], dtype=torch.float64)
     load = torch.tensor([0.0, 3.0, 3.0, 0.0], dtype=torch.float64)
-    seen = []
-
-    def friction(now: float, x: Tensor) -> Tensor:
-        seen.append(now)
-        return torch.full_like(x, 1.0 if now < 0.8 else 0.02)
-
-    found = follow(friction, time, load, elements=101)
-    assert seen == time.tolist()
+    found = follow(1.0, time, load, elements=101)
     assert found.position.shape == (4, 101, 2)
     assert found.time.tolist() == pytest.approx(time.tolist())
     assert found.normal_force.sum(-1).tolist() == pytest.approx([0, 3, 3, 0], abs=0.05)
-    assert found.friction_force[2].abs().sum() < 0.7 * found.friction_force[1].abs().sum()
-    stuck = follow(1.0, time, load, elements=101)
-    torch.testing.assert_close(stuck.position[1], found.position[1], rtol=0, atol=1e-15)
-    assert found.divergence[2] > 1.1 * stuck.divergence[2]
     assert math.isnan(found.divergence[0])
     batch = follow(torch.tensor([0.1, 1.0]), time, load, elements=101)
-    torch.testing.assert_close(batch.position[:, 1], stuck.position, rtol=0, atol=1e-13)
+    torch.testing.assert_close(batch.position[:, 1], found.position, rtol=0, atol=1e-13)
 
 
 def test_what_has_no_derivative_says_so() -> None:
     needed = torch.tensor(0.1, requires_grad=True)
     for call in (
         lambda: press(needed, elements=11),
-        lambda: press(lambda time, x: needed, elements=11),
         lambda: press(0.1, replace(LAB, radius=needed), elements=11),
         lambda: follow(0.1, torch.tensor([0.0, 0.1]), needed, elements=11),
     ):

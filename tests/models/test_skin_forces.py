@@ -8,7 +8,7 @@ from chains import bent, chain_of, energy, nodes_of
 
 from fingerflow.models.friction import Friction, dahl_friction
 from fingerflow.models.skin_forces import elastic_forces, half_circle
-from fingerflow.models.skin_parameters import PARAMETERS, named
+from fingerflow.models.skin_parameters import PARAMETERS, parameter_set
 from fingerflow.models.skin_solve import Arrow
 
 
@@ -101,7 +101,7 @@ def test_parameter_sets_are_those_of_print_and_of_the_lab() -> None:
 
 def test_parameters_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="'mine': choose one of paper, lab"):
-        named("mine")
+        parameter_set("mine")
     for name, value in (("radius", 0.0), ("tissue_stiffness", -1.0), ("poisson_ratio", 0.6), ("damping", float("nan"))):
         with pytest.raises(ValueError, match=f"{name} is"):
-            named(replace(PARAMETERS["lab"], **{name: value}))
+            parameter_set(replace(PARAMETERS["lab"], **{name: value}))

@@ -10,7 +10,7 @@ from fingerflow.models.observer.bootstrap import FEWEST_CLUSTERS
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
 
 
-def jackknifed(estimate: float, without: ArrayLike, level: float) -> tuple[Interval, float, str]:
+def jackknife_interval(estimate: float, without: ArrayLike, level: float) -> tuple[Interval, float, str]:
     """Return the jackknife interval of an estimate and its two-sided p-value, or the reason why both are missing.
 
     The p-value tests against 0.

@@ -12,7 +12,7 @@ from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, xlog1py,
 from scipy.stats import chi2
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
-from fingerflow.models.observer.jackknife import jackknifed
+from fingerflow.models.observer.jackknife import jackknife_interval
 
 Values = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def fit_psychometric(
     Raises:
         ValueError: values that are not valid counts, lengths that differ, or share, guess or level out of range.
     """
-    x, yes, number = _checked(stimulus, answers, trials)
+    x, yes, number = _check_counts(stimulus, answers, trials)
     lowest = 0.0 if guess is None else guess
     if not 0 <= lowest < share < 1:
         raise ValueError(f"the share is {share:g} and guesses {lowest:g}: give a share between the guesses and 1")
@@ -130,7 +130,7 @@ def fit_psychometric(
         if who.size != x.size:
             raise ValueError(f"{who.size} participants of {x.size} blocks: name that of every block")
         without = [posterior.threshold_of(who != name, best) for name in np.unique(who)]
-        interval, _, reason = jackknifed(threshold, without, level)
+        interval, _, reason = jackknife_interval(threshold, without, level)
     return PsychometricFit(
         threshold=threshold,
         interval=interval,
@@ -275,7 +275,7 @@ def _log_beta(value: float, first: float, second: float) -> float:
     return float(xlogy(first - 1, value) + xlog1py(second - 1, -value))
 
 
-def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
+def _check_counts(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
     x, yes, number = (np.asarray(values, dtype=np.float64).reshape(-1) for values in arrays)
     if not x.size == yes.size == number.size:
         raise ValueError(f"{x.size} stimuli, {yes.size} counts of answers and {number.size} of trials: give one each")
