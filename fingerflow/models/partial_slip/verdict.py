@@ -125,8 +125,8 @@ def judge_trial(
     """
     area, load, when = _check_curves(stuck_area, load_ratio, time)
     measured = np.isfinite(area) & np.isfinite(load)
-    counts = {"frames_measured": int(measured.sum()), "frames_missing": int((~measured).sum())}
-    found = TrialVerdict("inconclusive", "", "inconclusive", **counts)
+    found = TrialVerdict("inconclusive", "", "inconclusive")
+    found = replace(found, frames_measured=int(measured.sum()), frames_missing=int((~measured).sum()))
     if found.frames_measured < _FEWEST:
         return replace(found, reason=f"{found.frames_measured} frames have d² and T/N; {_FEWEST} are needed")
     width = max(5, 2 * round(_SMOOTHED_S / float(np.median(np.diff(when))) / 2) + 1)
@@ -184,7 +184,7 @@ def judge_trial(
 def _complete_verdict(
     found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]
 ) -> TrialVerdict:
-    """Return a verdict with its three outcomes, from the fitted collapse and the `run` of frames inside the corridor."""
+    """Return a verdict with its outcomes, from the fitted collapse and the frames inside the corridor, `run`."""
     loss = found.loss_frame
     largest = float(area[run].max())
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)

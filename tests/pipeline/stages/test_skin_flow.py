@@ -124,7 +124,7 @@ def seen(at: NDArray[np.float64]) -> NDArray[np.float64]:
     return blurred_ramp(at, HALF)
 
 
-def measured_at(distance: NDArray[np.float64], growth: float, power: float) -> NDArray[np.float64]:
+def shown(distance: NDArray[np.float64], growth: float, power: float) -> NDArray[np.float64]:
     """Window means of growth x^power beyond a border at 0.15 mm, over all pixels of a window."""
     beyond = (0.15 - distance)[:, None] + window_offsets(HALF)
     return np.asarray(growth * (np.maximum(beyond, 0) ** power).mean(1))
