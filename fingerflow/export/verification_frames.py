@@ -30,10 +30,7 @@ class Case(NamedTuple):
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
-    """Create the test cases for the graphs of a recipe.
-
-    These are a press with sub-pixel motion; blank, black, saturated or noise frames; invalid points.
-    """
+    """Create test cases for graphs: a press with sub-pixel motion, frames without a finger, and invalid points."""
     size = (recipe.views.height, recipe.views.width)
     most = 2**recipe.views.bit_depth - 1
     kind = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16

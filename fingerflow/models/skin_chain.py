@@ -45,7 +45,6 @@ from torch import Tensor
 from fingerflow.models.skin_motion import Chains, Motion, advance_chains
 from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
-Loads = tuple[Number | None, ...]  # load_n, tangential_n, indentation_m and slide_m of `press`
 TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
 CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
 REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
@@ -95,8 +94,6 @@ def press(
     load_n: Number = 3.0,
     *,
     tangential_n: Number = 0.0,
-    indentation_m: Number | None = None,
-    slide_m: Number | None = None,
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
@@ -109,8 +106,8 @@ def press(
     Args:
         friction: coefficient mu >= 0, a number or a tensor for many presses.
         parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
-        load_n: force that presses the bone down, N; ``indentation_m`` prescribes that motion of the bone instead.
-        tangential_n: force that pulls the bone along +x, N; ``slide_m`` prescribes that motion instead.
+        load_n: force that presses the bone down, N.
+        tangential_n: force that pulls the bone along +x, N.
         elements: 4 or more; the parameters refer to 501 elements and are converted.
         tolerance_m: position error in one step.
         longest_s: time limit. A bone pulled beyond the friction limit slides on: the press then ends without
@@ -121,17 +118,12 @@ def press(
             requires a gradient.
         RuntimeError: no step length meets the tolerance.
     """
-    given = load_n, tangential_n, indentation_m, slide_m
-    chains, start = _undeformed_chains(friction, parameters, elements, given)
-    ends, held = _loads(chains.shape, given)
-    coefficient = _coefficient(friction, chains)
-    # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
-    if any(held):
-        ramp = torch.stack((torch.where(torch.tensor(held), 0.0, ends), ends), -2)
-        start = advance_chains(chains, start, coefficient, ramp, held, 0.01, tolerance_m, 0.0)
-    rest = REST * ends.abs().masked_fill(torch.tensor(held), 0).sum(-1).clamp_min(0.1 if any(held) else 1e-3)
-    end = advance_chains(chains, start, coefficient, torch.stack((ends, ends), -2), held, longest_s, tolerance_m, rest)
-    return _pressed_chain(chains, end, coefficient, ends, held)
+    chains, start = _undeformed_chains(friction, parameters, elements, load_n, tangential_n)
+    coefficient, load = _coefficient(friction, chains), _load(chains.shape, load_n, tangential_n)
+    rest = REST * load.abs().sum(-1).clamp_min(1e-3)
+    loads = torch.stack((load, load), -2)
+    end = advance_chains(chains, start, coefficient, loads, longest_s, tolerance_m, rest)
+    return _pressed_chain(chains, end, coefficient, load)
 
 
 def follow(
@@ -141,8 +133,6 @@ def follow(
     *,
     parameters: str | SkinParameters = "lab",
     tangential_n: Tensor | float = 0.0,
-    indentation_m: Tensor | float | None = None,
-    slide_m: Tensor | float | None = None,
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
@@ -153,51 +143,43 @@ def follow(
     steps = time.double().diff()
     if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
         raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
-    traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
-    at = [_trace(name, value, len(time)) for name, value in traces.items()]
-    given = [tuple(None if trace is None else trace[k] for trace in at) for k in range(len(time))]
-    chains, state = _undeformed_chains(friction, parameters, elements, given[0])
-    before, held = _loads(chains.shape, given[0])
-    coefficient = _coefficient(friction, chains)
-    found = [_pressed_chain(chains, state, coefficient, before, held)]
-    for step, load in zip(steps.tolist(), given[1:], strict=True):
-        after, _ = _loads(chains.shape, load)
-        state = advance_chains(
-            chains, state, coefficient, torch.stack((before, after), -2), held, step, tolerance_m, 0.0
-        )
+    down, along = _trace("load_n", load_n, len(time)), _trace("tangential_n", tangential_n, len(time))
+    chains, state = _undeformed_chains(friction, parameters, elements, down[0], along[0])
+    before, coefficient = _load(chains.shape, down[0], along[0]), _coefficient(friction, chains)
+    found = [_pressed_chain(chains, state, coefficient, before)]
+    for k, step in enumerate(steps.tolist(), 1):
+        after = _load(chains.shape, down[k], along[k])
+        loads = torch.stack((before, after), -2)
+        state = advance_chains(chains, state, coefficient, loads, step, tolerance_m, 0.0)
         before = after
-        found.append(_pressed_chain(chains, state, coefficient, after, held))
+        found.append(_pressed_chain(chains, state, coefficient, after))
     return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
 def _undeformed_chains(
-    friction: Number, parameters: str | SkinParameters, elements: int, loads: Loads
+    friction: Number, parameters: str | SkinParameters, elements: int, *loads: Number
 ) -> tuple[Chains, Motion]:
     """Return the skin chains of all parameter sets, and their initial, undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     of = parameter_set(parameters)
-    tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values()) if value is not None]
+    tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values())]
     if any(value.requires_grad for value in tensors):
         raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
     chains = Chains.of(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()
 
 
-def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether the motion is prescribed."""
-    load_n, tangential_n, indentation_m, slide_m = loads
-    down = load_n if indentation_m is None else indentation_m
-    along = tangential_n if slide_m is None else slide_m
-    both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]
-    if not all(bool(value.isfinite().all()) for value in both):
-        raise ValueError("a load is not finite: cut the trace where force or motion is not known")
-    return torch.stack((both[0], -both[1]), -1), (slide_m is not None, indentation_m is not None)
+def _load(shape: torch.Size, down: Number, along: Number) -> Tensor:
+    """Return the load (..., 2) on the bone along x and z, N."""
+    x, z = (torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down))
+    if not bool(x.isfinite().all() and z.isfinite().all()):
+        raise ValueError("a load is not finite: cut the trace where forces are not known")
+    return torch.stack((x, -z), -1)
 
 
-def _trace(name: str, value: Tensor | float | None, count: int) -> Tensor | None:
-    if value is None:
-        return None
+def _trace(name: str, value: Number, count: int) -> Tensor:
+    """Return a load as a trace (T, ...) over T times."""
     trace = torch.as_tensor(value, dtype=torch.float64)
     if trace.ndim and len(trace) != count:
         raise ValueError(f"{name} is {tuple(trace.shape)} beside {count} times: give a number, (T,) or (T, ...)")
@@ -213,9 +195,7 @@ def _coefficient(friction: Number, chains: Chains) -> Tensor:
     return coefficient[..., None].expand(*chains.shape, chains.reference.shape[-2])
 
 
-def _pressed_chain(
-    chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]
-) -> PressedChain:
+def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor) -> PressedChain:
     """Return strain, divergence, pressure and balance of chains in a state of motion under a load."""
     x, z = at.place.unbind(-1)
     reference = chains.reference
@@ -245,7 +225,7 @@ def _pressed_chain(
         divergence=weighted_median(slope + hoop, weight),
         contact_length=on_plate.sum(-1),
         bone=at.bone,
-        balance=chains.unbalanced(at, load, held),
+        balance=chains.unbalanced(at, load),
         time=at.time,
         steps=at.steps,
     )

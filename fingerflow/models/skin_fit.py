@@ -44,13 +44,12 @@ def fit_skin(
 ) -> SkinFit:
     """Fit friction and tissue stiffness k_t of a skin chain to measurements, by least squares in their logarithms.
 
-    The ratio of plate stiffness to k_t is constant.
-
-    Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
-    stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks
-    like less stiffness. Intervals are those of the linearised model at the best fit, with Student's quantile and the
-    spread of the residuals. They are computed in the logarithm, so they contain the estimate and stay positive. Above
-    about 0.2 everything sticks and divergence hardly depends on friction: the interval is then wide.
+    The ratio of plate stiffness to k_t is constant. Divergence alone determines friction at the stiffness of
+    ``parameters``. Contact length alone determines that stiffness at ``friction``; both curves determine both.
+    Divergence alone cannot separate the two: more friction looks like less stiffness. Intervals are those of the
+    linearised model at the best fit, with Student's quantile and the spread of the residuals. They are computed in the
+    logarithm, so they contain the estimate and stay positive. Above about 0.2 everything sticks and divergence hardly
+    depends on friction: the interval is then wide.
 
     Args:
         load_n: (K,) N, normal forces of the measured values, each simulated as a separate press of an undeformed chain.

@@ -68,7 +68,7 @@ def run_on_workers(
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
             with _client(scheduler, many, threads_each(scheduler, many)) as client:
-                for result in _go_through(client, act, of_round, of_error):
+                for result in _run_tasks(client, act, of_round, of_error):
                     bar.update(trials_of(result))
                     yield result
 
@@ -83,7 +83,7 @@ def threads_each(scheduler: str | None, workers: int) -> int:
     return max(1, cores() // workers) if scheduler is None else 1
 
 
-def _go_through(
+def _run_tasks(
     client: Any,
     act: Callable[[Task], Result],
     tasks: Iterator[tuple[str, Task]],

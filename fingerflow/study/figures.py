@@ -32,8 +32,8 @@ _AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which show
 _MOST_NAMED = 12  # most conditions in a legend
 
 
-class Figured(NamedTuple):
-    """Outcome for one figure of a study: name, image file ("" if not drawn), caption, and panels left out."""
+class StudyFigure(NamedTuple):
+    """Figure of a study: name, image file ("" if not drawn), caption, and messages on panels that were left out."""
 
     name: str
     file: str
@@ -48,7 +48,7 @@ def write_figures(
     folder: Path,
     design: str = FORCED_CHOICE,
     files: FigureFiles = PNG,
-) -> list[Figured]:
+) -> list[StudyFigure]:
     """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
     Args:
@@ -87,12 +87,12 @@ def write_figures(
         left_out = [said for said in sheet.left_out if not _is_replaced(said, drawn)]
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
-            written.append(Figured(name, "", "", tuple(left_out)))
+            written.append(StudyFigure(name, "", "", tuple(left_out)))
             continue
         ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
         figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
         files.save(figure, folder, name)
-        written.append(Figured(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
+        written.append(StudyFigure(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
     return written
 
 

@@ -45,13 +45,12 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Return the table row of a trial (`columns.NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
+    """Return the row of a trial (columns `NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
 
-    None means unknown: not measured, its moment did not occur, or a frame there is not usable.
-
-    The value at a force F is interpolated linearly between the two frames around its first crossing, after the onset
-    and before the maximum. The strain along t, the major axis of the apparent contact at its maximum, is
-    t' E t of the median components; its standard deviation treats their errors as independent.
+    None means unknown: not measured, its moment did not occur, or a frame there is not usable. The value at a force F
+    is interpolated linearly between the two frames around its first crossing, after the onset and before the maximum.
+    The strain along t, the major axis of the apparent contact at its maximum, is t' E t of the median components; its
+    standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
@@ -73,7 +72,7 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial, and the frames (onset, largest force, last contact) at which the row states values."""
+    """Time series of a trial, and the moments (contact onset, largest force, 1 to 3 N) whose values are in its row."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result

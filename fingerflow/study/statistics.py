@@ -92,10 +92,9 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
       trials.
     - `groups`: one or two groups of participants by their median divergence, or its difference.
 
-    Differences of a comparison from its reference are in `shares` and `groups` alone.
-
-    Participants are the units of every interval and p. `p_holm` is p corrected for the metrics of its table (Holm
-    1979). `by_answer`, `shares`, `force_rate` and `observer` exist only with answers.
+    Differences of a comparison from its reference are in `shares` and `groups` alone. Participants are the units of
+    every interval and p. `p_holm` is p corrected for the metrics of its table (Holm 1979). `by_answer`, `shares`,
+    `force_rate` and `observer` exist only with answers.
 
     Args:
         sample: of `sample_of`.
@@ -128,10 +127,8 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 def holm(p: Mapping[str, float]) -> dict[str, float]:
     """Return p-values corrected for multiple tests by Holm's method.
 
-    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1.
-
-    The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays,
-    and does not count.
+    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1. The chance that any of m true
+    null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays, and does not count.
     """
     known = sorted((value, name) for name, value in p.items() if math.isfinite(value))
     scaled = [(len(known) - place) * value for place, (value, _) in enumerate(known)]

@@ -22,9 +22,9 @@ def begun(chain: Chain) -> State:
     return State(nodes_of(chain), np.zeros(len(chain.reference)))
 
 
-def held_load(newton: float, along: float = 0.0) -> Load:
+def constant_load(newton: float, along: float = 0.0) -> Load:
     force = np.array([along, -newton])
-    return Load(force, force, np.zeros(2, dtype=bool))
+    return Load(force, force)
 
 
 def bent(chain: Chain, size: float = 3e-5) -> Array:

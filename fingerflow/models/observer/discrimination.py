@@ -1,4 +1,4 @@
-"""Discrimination of correct from incorrect trials by a metric: d', area under the ROC, and criterion."""
+"""Estimate how well a metric discriminates correct from incorrect trials: d', area under the ROC, and criterion."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -59,11 +59,9 @@ def auc(
 ) -> Estimate:
     """Estimate the area under the ROC: the probability that a correct trial has a larger metric than an incorrect one.
 
-    Ties count half.
-
-    1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason, if a kind has no
-    trial. There is no interval if the two kinds do not overlap, because every resample then gives the same area.
-    Arguments and errors are those of `d_prime`.
+    Ties count half. 1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason,
+    if a kind has no trial. There is no interval if the two kinds do not overlap, because every resample then gives the
+    same area. Arguments and errors are those of `d_prime`.
     """
     return _estimate(
         (correct, incorrect), lambda values: _auc_statistic(*values), 1, participants, level, resamples, seed
@@ -190,7 +188,7 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
 
 
 def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
-    """Return a function that computes areas under the ROC (R,) from weights (R, n_1), (R, n_2) of two classes."""
+    """Return a function that computes R areas under the ROC from R sets of trial weights (R, n_1) and (R, n_2)."""
     values = np.concatenate([correct, incorrect])
     order = np.argsort(values, kind="stable")
     starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)

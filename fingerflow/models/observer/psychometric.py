@@ -196,7 +196,7 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return start parameters for a fit, with several slopes, and either one middle or one threshold for all."""
+        """Return starting points of the fit: 12 slopes, each with the given middle of the curve or given threshold."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -207,7 +207,7 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Return the threshold, in data units, fitted to the `chosen` blocks of answers, with a search from `near`."""
+        """Fit the curve to the chosen blocks of answers, searching from `near`; return its threshold in data units."""
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]
@@ -258,7 +258,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return the threshold at which the profile on one side of the best threshold reaches ``allowed``, or infinity."""
+    """Return the threshold on one side of the best one whose profile value is ``allowed``, or infinity."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

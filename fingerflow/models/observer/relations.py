@@ -19,9 +19,7 @@ Values = NDArray[np.float64]
 class Correlation:
     """Correlation coefficient of pairs of values, with interval and two-sided p-value.
 
-    `trials` pairs were used; `missing` pairs lack a value.
-
-    `participants` is 0 where pairs count as independent.
+    `trials` pairs were used; `missing` pairs lack a value. `participants` is 0 where pairs count as independent.
     """
 
     value: float

@@ -69,7 +69,7 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the critical stuck area share d^2 = (mu_s - mu_k) / (2 mu_s - mu_k), at which the rest slips at once.
+    """Return the critical stuck area share (mu_s - mu_k) / (2 mu_s - mu_k), below which the contact slips as a whole.
 
     Such a minimal area needs mu_s > mu_k; the paper's section 1 and equation 5 agree, but its abstract has the
     inequality reversed. It is 0 for mu_s = mu_k, and NaN for mu_s < mu_k, where none exists.

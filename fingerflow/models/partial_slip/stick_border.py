@@ -147,7 +147,7 @@ def fit_border(
 
 
 def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResponse) -> Values:
-    """Return measured values (L, K) of g for L powers and roundings, at distances (K,) mm beyond the border."""
+    """Return the blurred displacement law g (L, K) of L powers and roundings, at distances (K,) mm from the border."""
     # Ramps from knots add up to g, linear in between; the first knots are close, where a small power bends most.
     knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
     p, a = powers[:, None], roundings[:, None]
@@ -157,7 +157,7 @@ def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResp
 
 
 def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:
-    """Fit values (K,) by a multiple of each shape (C, K) and a constant; return both (C,), and chi^2 (C,)."""
+    """Fit values (K,) by a multiple of each shape (C, K) plus a constant; return factor, constant and chi^2 (C,)."""
     share = weight / weight.sum()
     mean, level = shapes @ share, float(values @ share)
     apart, rest = shapes - mean[:, None], values - level
