@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fingerflow.models.observer import Correlation, auc, pearson, printed_observer, repeated_anova, spearman
+from fingerflow.models.observer import auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
 from fingerflow.report.simulated_presses import HIGH
 from fingerflow.report.supplement.of_observer import OBSERVED
-from fingerflow.report.trial_metrics import dots_of
 from fingerflow.reproduce.presses import DIVERGENCE_UNIT, PressStudy
 from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded, within
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
+from fingerflow.study.statistics import correlate_with_answers
 
 Values = NDArray[np.float64]
 _ALPHA = 0.05
@@ -198,14 +198,9 @@ def _rate_on_answers(study: PressStudy) -> Obtained:
 
 
 def _unrelated(study: PressStudy, *metrics: str, because: str) -> Obtained:
-    """Test that metrics do not correlate with the share of "more slippery" answers (Spearman).
-
-    Each pair of values is the median metric and the share of one participant in one condition.
-    """
-    found: dict[str, Correlation] = {}
-    for metric in metrics:
-        medians, shares, _, who = dots_of(study.sample.trials, study.column_of_sample(metric))
-        found[metric] = spearman(medians, shares, participants=who)
+    """Test that metrics do not correlate with the share of "more slippery" answers."""
+    trials = study.sample.trials
+    found = {metric: correlate_with_answers(trials, study.column_of_sample(metric)) for metric in metrics}
     if unknown := [f"{_words(metric)}: {one.reason}" for metric, one in found.items() if not math.isfinite(one.value)]:
         return Obtained("", because=f"no coefficient of {'; '.join(unknown)}")
     text = "; ".join(

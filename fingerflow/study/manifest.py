@@ -128,7 +128,9 @@ def load_manifest(path: str | Path) -> Manifest:
         rows = _rows_of_pattern(path, study["pattern"], study.get("forces"))
         places = [f"{path}, {row[RECORDING]}" for row in rows]
     if "answers" in study:
-        _add_answers(rows, path.parent / study["answers"])
+        for row, found in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
+            row.update({name: value for name, value in found.items() if not row.get(name)})
+            row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
     return Manifest(path, results, shared, _entries(rows, places, path), design)
 
@@ -154,12 +156,6 @@ def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str,
             raise FingerflowError(f"{answers}, row {number}: participant {key[0]}, trial {key[1]} is there twice")
         known[key] = row
     return [known.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
-
-
-def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
-    for row, found in zip(rows, matching(rows, answers), strict=True):
-        row.update({name: value for name, value in found.items() if not row.get(name)})
-        row.setdefault(ANSWER, "")
 
 
 def _rows_of_pattern(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:

@@ -117,7 +117,8 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     }
     if sample.answered:
         found["by_answer"] = _anovas(trials, trials.answer)
-        found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in differences.metrics.items()})
+        shares = {name: correlate_with_answers(trials, values) for name, values in differences.metrics.items()}
+        found["shares"] = _corrected(shares)
         found["force_rate"] = _of_force_rate(trials)
         found["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(found)
@@ -173,7 +174,11 @@ def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
-def _of_shares(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+    """Compute Spearman's correlation of a metric (T,) with the share of "more slippery" answers.
+
+    Each pair of values is the median metric and the share of one participant in one condition.
+    """
     medians, shares, _, who = dots_of(trials, values)
     return spearman(medians, shares, participants=who)
 

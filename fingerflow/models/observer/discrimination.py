@@ -183,8 +183,7 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
         ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, np.minimum(lower + 1, counts[:, -1] - 1))
     )
     low, high = ends
-    result: Values = low + (place - lower) * (high - low)
-    return result
+    return np.asarray(low + (place - lower) * (high - low))
 
 
 def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
@@ -201,16 +200,14 @@ def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Valu
         if starts.size < values.size:  # equal values are one step of the curve
             hits, misses = (np.add.reduceat(some, starts, axis=1) for some in (hits, misses))
         below = misses.cumsum(1) - misses / 2
-        result: Values = (hits * below).sum(1) / (hits.sum(1) * misses.sum(1))
-        return result
+        return np.asarray((hits * below).sum(1) / (hits.sum(1) * misses.sum(1)))
 
     return area
 
 
 def _mean(values: Values, weights: Values) -> Values:
     """Return the means (R,) of values (N,) under R sets of weights (R, N)."""
-    result: Values = weights @ values / weights.sum(1)
-    return result
+    return np.asarray(weights @ values / weights.sum(1))
 
 
 def _deviation(values: Values, weights: Values) -> Values:

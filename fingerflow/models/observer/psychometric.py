@@ -183,8 +183,7 @@ class _Posterior:
     def _expected(self, values: Values) -> Values:
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((self.x - threshold) * slope + _core(self.share, guess, lapse))
-        result: Values = np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
-        return result
+        return np.asarray(np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12))
 
     def best(self) -> Values:
         """Return the curve parameters that maximise the posterior.

@@ -149,8 +149,7 @@ def fit_family(
 def student_weights(squared: Values, weights: Values) -> Values:
     """Return robust weights (R, F) of frames by Student's t-distribution, scaled to the squared residuals."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
-    result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
-    return result
+    return np.asarray((STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300)))
 
 
 def student_scale(squared: Values) -> float:
