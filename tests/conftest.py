@@ -16,7 +16,7 @@ from bench.chromium import launch
 from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
-from tests.marker_gel import write_gel_recording
+from fingerflow.synthetic.marker_gel import write_gel_recording
 from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
 
 #: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long

@@ -21,8 +21,8 @@ from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
+from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.marker_gel import MarkerGel
 from tests.pipeline.stages.rolling import Rolling
 
 Frame = np.ndarray[Any, Any]

@@ -29,7 +29,7 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.synthetic import PartialSlip, Press, write_recording
-from tests.marker_gel import MarkerGel, write_gel_recording
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from tests.small_trials import SMALL_SLIP, edit_scene
 from tests.test_architecture import ARROWS
 

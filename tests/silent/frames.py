@@ -25,11 +25,11 @@ from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.synthetic import PartialSlip, Press, Slide, SyntheticScene, scene_of_print, write_recording
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
 from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_returns import jumps_and_returns
-from tests.marker_gel import MarkerGel, write_gel_recording
 from tests.silent.case import Case
 from tests.small_trials import (
     SPOILED,

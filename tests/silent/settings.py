@@ -17,7 +17,7 @@ from bench.suites.prints import DPI, FINGERS, PRINTS
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording
-from tests.marker_gel import MarkerGel, write_gel_recording
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from tests.silent.case import Case
 from tests.small_trials import scene_beside, warnings_of
 

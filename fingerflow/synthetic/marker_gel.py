@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene_template import gel_scene_text
 from fingerflow.synthetic.camera import Camera
 
@@ -124,12 +125,18 @@ class MarkerGel:
 
 
 def write_gel_recording(folder: Path, gel: MarkerGel, mm_per_px: float = 0.06) -> Path:
-    """Write a recording of the gel, as compressed colour video, with its scene.toml; return the path of the latter."""
+    """Write a recording of the gel, as compressed colour video, with its scene.toml; return the path of the latter.
+
+    Raises FingerflowError if the folder exists already or the video cannot be written.
+    """
+    if folder.exists():
+        raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
     folder.mkdir(parents=True)
     height, width = gel.frame_shape
     video, scene = folder / "frames.avi", folder / "scene.toml"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), gel.frame_rate, (width, height))
-    assert writer.isOpened(), "OpenCV cannot write Motion JPEG here"
+    if not writer.isOpened():
+        raise FingerflowError(f"{video}: OpenCV cannot write Motion JPEG here; install opencv with its video writers")
     for frame in range(gel.n_frames):
         writer.write(cv2.cvtColor(gel.picture(frame), cv2.COLOR_RGB2BGR))
     writer.release()
