@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
 from fingerflow.export.recipe import Recipe
-from fingerflow.export.verification_frames import cases, completed, feed
+from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.kernels.tracking_limits import Number
 
 
@@ -73,10 +73,12 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     worst: dict[tuple[str, str], Difference] = {}
     for batch in batches:
         for case in cases(recipe, batch):
-            known = completed(recipe, case)  # same inputs in all three, so that errors do not propagate between graphs
+            known = complete_inputs(
+                recipe, case
+            )  # same inputs in all three, so that errors do not propagate between graphs
             for name in sessions:
                 graph = graphs[name]
-                given = feed(name, graph, known)
+                given = inputs_of(name, graph, known)
                 reference = graph.run(given)
                 doubles = {one: part.double() if part.is_floating_point() else part for one, part in given.items()}
                 double = exact[name].run(doubles)

@@ -92,7 +92,7 @@ class SyntheticScene:
         return Truth(
             motion=self.motion,
             progress=self.progress(self.times),
-            touches=self._ridge_margin,
+            ridge_margin=self._ridge_margin,
             mm_per_px=self.mm_per_px,
             contact_shape=self.views["contact"].shape,
             topography_to_contact=np.array(self.topography_to_contact, dtype=np.float64),

@@ -54,7 +54,7 @@ class Truth:
     progress: Array  # (frames,) of the movement, never falling
     # Margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance (mm) from
     # the edge of the apparent contact, positive inside.
-    touches: Callable[[Tensor, Tensor, Tensor], Tensor]
+    ridge_margin: Callable[[Tensor, Tensor, Tensor], Tensor]
     mm_per_px: float  # of the contact view
     contact_shape: tuple[int, int]  # rows and columns of the contact view
     topography_to_contact: Array  # 2 x 3, from pixels of the topography view to pixels of the contact view
@@ -198,7 +198,7 @@ class Truth:
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         depth = ellipse.distance(x, y)
-        return torch.minimum(self.touches(*self.motion.material(x, y, self._at(frame)), depth), depth)
+        return torch.minimum(self.ridge_margin(*self.motion.material(x, y, self._at(frame)), depth), depth)
 
     def _displacement(
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
