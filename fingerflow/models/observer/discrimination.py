@@ -43,7 +43,11 @@ def d_prime(
     """
 
     def of(values: list[Values]) -> Statistic:
-        return lambda first, second: _d_prime(values, first, second)
+        def statistic(first: Values, second: Values) -> Values:
+            variance = (_deviation(values[0], first) ** 2 + _deviation(values[1], second) ** 2) / 2
+            return (_mean(values[0], first) - _mean(values[1], second)) / np.sqrt(variance)
+
+        return statistic
 
     return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
 
@@ -164,11 +168,6 @@ def _estimate(
     return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
 
 
-def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
-    variance = (_deviation(values[0], first) ** 2 + _deviation(values[1], second) ** 2) / 2
-    return (_mean(values[0], first) - _mean(values[1], second)) / np.sqrt(variance)
-
-
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
     """Return the quantile at `share` of each of R bootstrap resamples (R,).
 
@@ -178,11 +177,9 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)
     lower = np.floor(place)
+    upper = np.minimum(lower + 1, counts[:, -1] - 1)
     # The k-th of the drawn values is the first one whose count passes k.
-    ends = (
-        ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, np.minimum(lower + 1, counts[:, -1] - 1))
-    )
-    low, high = ends
+    low, high = (ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, upper))
     return np.asarray(low + (place - lower) * (high - low))
 
 

@@ -104,16 +104,16 @@ def fit_psychometric(
         raise ValueError(f"the share is {share:g} and guesses {lowest:g}: give a share between the guesses and 1")
     if not 0 < level < 1:
         raise ValueError(f"the level is {level:g}: give one between 0 and 1, as 0.95")
-    stimuli = np.unique(x).size
+    stimuli, count = np.unique(x).size, int(number.sum())
 
     def nothing(reason: str) -> PsychometricFit:
         nan = math.nan
-        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, int(number.sum()), stimuli, share, level, reason)
+        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, count, stimuli, share, level, reason)
 
     if stimuli < _FEWEST_STIMULI:
         return nothing(f"{stimuli} stimuli: {_FEWEST_STIMULI} are needed")
-    if yes.sum() in (0, number.sum()):
-        return nothing(f"all answers are the same: {int(yes.sum())} of {int(number.sum())} are of the kind that counts")
+    if yes.sum() in (0, count):
+        return nothing(f"all answers are the same: {int(yes.sum())} of {count} are of the kind that counts")
     posterior = _Posterior(x, yes, number, share, guess)
     best = posterior.best()
     threshold, width, fitted_guess, lapse = posterior.parameters(best)
@@ -131,19 +131,8 @@ def fit_psychometric(
             raise ValueError(f"{who.size} participants of {x.size} blocks: name that of every block")
         without = [posterior.threshold_of(who != name, best) for name in np.unique(who)]
         interval, _, reason = jackknife_interval(threshold, without, level)
-    return PsychometricFit(
-        threshold=threshold,
-        interval=interval,
-        width=width,
-        guess=fitted_guess,
-        lapse=lapse,
-        overdispersion=posterior.overdispersion(best),
-        trials=int(number.sum()),
-        stimuli=stimuli,
-        share=share,
-        level=level,
-        reason=reason,
-    )
+    curve = threshold, interval, width, fitted_guess, lapse, posterior.overdispersion(best)
+    return PsychometricFit(*curve, count, stimuli, share, level, reason)
 
 
 class _Posterior:
