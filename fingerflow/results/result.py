@@ -15,6 +15,7 @@ from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.file_checks import check_file, reading
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
+from fingerflow.results.store import indexed_by_time
 
 _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
@@ -102,7 +103,7 @@ def open_own(path: Path) -> xr.Dataset:
             f"{path} is not a result of fingerflow: it does not state a {MARK}; name the file that `fingerflow "
             "process` wrote"
         )
-    return result
+    return indexed_by_time(result)
 
 
 def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from fingerflow.schema.variable_record import (
     PERCENT_PER_S,
     UM_PER_MM,
     UM_PER_MM_S,
+    ShownUnit,
     Variable,
 )
 
@@ -543,3 +544,8 @@ VARIABLES: dict[str, Variable] = by_name(
     (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, SENSOR_SLIP,
     STREAM,
 )  # fmt: skip
+
+
+def shown_unit(name: str, units: str) -> ShownUnit:
+    """Return the unit in which a variable is shown; one that is not defined here is shown in its own `units`."""
+    return VARIABLES.get(name, Variable(name, (), units, "")).shown_unit
