@@ -55,7 +55,12 @@ def is_result(path: Path) -> bool:
 
 
 def open_result(path: Path) -> xr.Dataset:
-    """Open a result file without loading values, which are read on access; close the data set after use."""
+    """Open a result without loading values, which are read on access; close the data set after use.
+
+    It is a file of `process`, or a Zarr store that `fingerflow export-table` has written.
+    """
+    if path.suffix == ".zarr":
+        return open_own(path)
     check_file(path)
     check_in_child_process(path, "hdf5")
     return open_own(path)
@@ -92,7 +97,8 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
 def open_own(path: Path) -> xr.Dataset:
     """Open a result file that this process itself wrote, without the checks for damage of :func:`open_result`."""
     try:
-        result = xr.open_dataset(path, engine="h5netcdf")
+        store: dict[str, Any] = {"engine": "zarr", "consolidated": False} if path.suffix == ".zarr" else {}
+        result = xr.open_dataset(path, **{"engine": "h5netcdf", **store})
     except Exception as error:  # a damaged file may raise any exception
         raise FingerflowError(
             f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"

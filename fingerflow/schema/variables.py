@@ -191,6 +191,14 @@ TRACKING = (
         label="standard deviation of the position",
     ),
     Variable(
+        "subset_correlation", FRAME_POINT, "1",
+        "correlation of the window (subset) of a point with that in which it was seeded, as of the last check, one in "
+        "every eight frames",
+        "f4",
+        equation="ρ = Σ_w (I − Ī)(T − T̄) / √(Σ_w (I − Ī)² Σ_w (T − T̄)²), I the window deformed as the skin around it",
+        shown_in=PERCENT,
+    ),
+    Variable(
         "forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4",
         equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)",
     ),
