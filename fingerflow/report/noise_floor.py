@@ -1,4 +1,4 @@
-"""Noise floors of displacement and strain, measured from still frames (iDICs Good Practices Guide, section 5)."""
+"""Measure the noise floors of displacement and strain from still frames, as the iDICs guide asks (`practice_table`)."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Table of hardware and analysis parameters, as the iDICs Good Practices Guide (2018, chapter 6) asks for them."""
+"""Table of hardware and analysis parameters, as the iDICs Good Practices Guide (Jones & Iadicola 2018) asks for them."""
 
 import json
 from collections.abc import Mapping
@@ -47,8 +47,7 @@ def _hardware(
         rows.append(("image resolution", f"{width} × {height} px{depth}"))
     rows += [("lens", _stated(rig, "lens")), ("aperture", _stated(rig, "aperture", "f/{:g}"))]
     rows.append(("stand-off distance", _stated(rig, "stand_off_mm", "{:g} mm")))
-    for name, view in (settings.get("views") or {}).items():
-        high, wide = (view[side][1] - view[side][0] for side in ("rows", "columns"))
+    for name, (high, wide) in _view_sizes(settings["views"]).items():
         size = scale * _magnification(result) if name == "topography" else scale
         rows.append((f"field of view, {name}", f"{wide * size:.3g} × {high * size:.3g} mm ({wide} × {high} px)"))
     rows.append(("image scale", f"{scale:.5f} mm/px ({1 / scale:.1f} px/mm)"))
@@ -63,13 +62,18 @@ def _hardware(
 
 
 def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str, Any]) -> Rows:
-    rows = [("software", f"fingerflow {result.attrs['fingerflow_version']}, engine {result.attrs['engine']}")]
+    engine = f", engine {result.attrs['engine']}" if "engine" in result.attrs else ""
+    rows = [("software", f"fingerflow {result.attrs['fingerflow_version']}{engine}")]
     tracking, fields = settings.get("tracking") or {}, settings.get("fields") or {}
     if "position_px" not in result or is_sensor(result) or "window_px" not in tracking:
         return rows
     window, scale = tracking["window_px"], float(result.attrs["mm_per_px"]) * _magnification(result)
     points = int((result["status"].values == 0).sum(1).max())
-    update = "key frame, updated where skin deforms" if tracking["template"] == "keyframe" else "previous frame"
+    update = (
+        "key frame, updated where skin deforms"
+        if tracking.get("template", "keyframe") == "keyframe"
+        else "previous frame"
+    )
     free = "up to gain and offset (as ZNSSD)" if tracking["gain_offset"] else "of grey levels (SSD)"
     rows += [
         ("image filtering", "binomial smoothing, part of the interpolant"),
@@ -109,6 +113,15 @@ def _noise_floors(result: xr.Dataset, floor: Mapping[str, float] | None, window:
 def _reference(fields: Mapping[str, Any]) -> str:
     reference = str(fields.get("reference", "onset"))
     return "the onset of contact of each point" if reference == "onset" else reference.replace("_", " ")
+
+
+def _view_sizes(views: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
+    """Return the size (height, width) px of each view, from the settings of a scene or those of a recipe."""
+    if "height" in views:
+        return dict.fromkeys(("contact", "topography"), (views["height"], views["width"]))
+    some = {"camera": views["camera"]} if "camera" in views else views  # its other names are aliases for stages
+    spans = {name: (view["rows"], view["columns"]) for name, view in some.items()}
+    return {name: (rows[1] - rows[0], columns[1] - columns[0]) for name, (rows, columns) in spans.items()}
 
 
 def _stated(rig: Mapping[str, Any], key: str, form: str = "{}") -> str:
