@@ -1,4 +1,4 @@
-"""Table of hardware and analysis parameters, as the iDICs Good Practices Guide (Jones & Iadicola 2018) asks for them."""
+"""Table of hardware and analysis, as the iDICs Good Practices Guide (Jones & Iadicola 2018) asks for it."""
 
 import json
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ def _hardware(
         rows.append(("image resolution", f"{width} × {height} px{depth}"))
     rows += [("lens", _stated(rig, "lens")), ("aperture", _stated(rig, "aperture", "f/{:g}"))]
     rows.append(("stand-off distance", _stated(rig, "stand_off_mm", "{:g} mm")))
-    for name, (high, wide) in _view_sizes(settings["views"]).items():
+    for name, (high, wide) in _view_sizes(settings.get("views") or {}).items():
         size = scale * _magnification(result) if name == "topography" else scale
         rows.append((f"field of view, {name}", f"{wide * size:.3g} × {high * size:.3g} mm ({wide} × {high} px)"))
     rows.append(("image scale", f"{scale:.5f} mm/px ({1 / scale:.1f} px/mm)"))
@@ -69,11 +69,8 @@ def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str,
         return rows
     window, scale = tracking["window_px"], float(result.attrs["mm_per_px"]) * _magnification(result)
     points = int((result["status"].values == 0).sum(1).max())
-    update = (
-        "key frame, updated where skin deforms"
-        if tracking.get("template", "keyframe") == "keyframe"
-        else "previous frame"
-    )
+    by_key = tracking.get("template", "keyframe") == "keyframe"  # a recipe has no other
+    update = "key frame, updated where skin deforms" if by_key else "previous frame"
     free = "up to gain and offset (as ZNSSD)" if tracking["gain_offset"] else "of grey levels (SSD)"
     rows += [
         ("image filtering", "binomial smoothing, part of the interpolant"),
