@@ -214,7 +214,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     assert page.is_visible("#divergenceCard")
     page.click("#unit")
     page.wait_for_selector("#divergenceTitle:text-is('Median divergence, %')")
-    assert page.inner_text("#unit") == "%"
+    assert page.inner_text("#unit") == "Deformation in %"
     page.click("#unit")
     page.wait_for_selector("#divergenceTitle:text-is('Median divergence, µm/mm')")
     assert "Real contact area, mm\u00b2" in page.inner_text("#truth")

@@ -303,7 +303,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         value = "#panel dl div:has(dt:text-is('median divergence')) dd"
         seen = float(page.locator(value).first.inner_text())
         page.click("#unit")
-        page.wait_for_selector("#unit:text-is('%')")
+        page.wait_for_selector("#unit:text-is('Deformation in %')")
         page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('%')")
         assert float(page.locator(value).first.inner_text()) == pytest.approx(seen / 10, rel=2e-3)
         page.click("#unit")

@@ -254,7 +254,7 @@ async function refresh() {
     const live = unpack(await answer.arrayBuffer());
     $("unit").hidden = !live.shown.divergence.percent;
     if (inPercent) for (const one of Object.values(live.shown)) Object.assign(one, one.percent);
-    $("unit").textContent = live.shown.divergence.unit;
+    $("unit").textContent = `Deformation in ${live.shown.divergence.unit}`;
     $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;
     numbers(live);
     truth(live);

@@ -20,7 +20,7 @@ class App {
     this.frames = newest(async () => this.draw());
   }
   async start() {
-    const units = table => { setVariables(table); $("unit").textContent = unitOf("divergence"); };
+    const units = table => { setVariables(table); $("unit").textContent = `Deformation in ${unitOf("divergence")}`; };
     units(await get("api/variables"));
     $("unit").onclick = async () => {
       units(await post("api/percent", {}));
