@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.spatial import cKDTree
 
 from fingerflow.plot.wording import is_sensor
-from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings import open_recording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import VARIABLES
 
@@ -29,23 +29,20 @@ def practice_tables(result: xr.Dataset, scene: Scene | None) -> dict[str, Rows]:
     """
     settings = json.loads(result.attrs["settings"])
     rig = json.loads(scene.as_json())["rig"] if scene is not None else settings.get("rig") or {}
-    if scene is None:
-        return {"Hardware": _hardware(result, settings, rig, None), "Analysis": _analysis(result, settings, rig)}
-    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
-        hardware = _hardware(result, settings, rig, recording)
+    resolution = [] if scene is None else [("image resolution", _resolution(scene))]
+    hardware = [("camera", _stated(rig, "camera")), *resolution, *_optics(result, settings, rig)]
     return {"Hardware": hardware, "Analysis": _analysis(result, settings, rig)}
 
 
-def _hardware(
-    result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str, Any], recording: Recording | None
-) -> Rows:
-    scale, steps = float(result.attrs["mm_per_px"]), np.diff(result["time"].values)
-    rows = [("camera", _stated(rig, "camera"))]
-    if recording is not None:
+def _resolution(scene: Scene) -> str:
+    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         height, width = recording.frame_shape
-        depth = f", {recording.bit_depth} bit" if recording.bit_depth else ""
-        rows.append(("image resolution", f"{width} × {height} px{depth}"))
-    rows += [("lens", _stated(rig, "lens")), ("aperture", _stated(rig, "aperture", "f/{:g}"))]
+        return f"{width} × {height} px" + (f", {recording.bit_depth} bit" if recording.bit_depth else "")
+
+
+def _optics(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str, Any]) -> Rows:
+    scale, steps = float(result.attrs["mm_per_px"]), np.diff(result["time"].values)
+    rows = [("lens", _stated(rig, "lens")), ("aperture", _stated(rig, "aperture", "f/{:g}"))]
     rows.append(("stand-off distance", _stated(rig, "stand_off_mm", "{:g} mm")))
     for name, (high, wide) in _view_sizes(settings.get("views") or {}).items():
         size = scale * _magnification(result) if name == "topography" else scale

@@ -63,7 +63,8 @@ def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: 
     assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
     (tmp_path / "mine.zarr").mkdir()
     with pytest.raises(FingerflowError, match="is no result"):
-        export_table(result, tmp_path / "mine.zarr")
+        export_table(result, tmp_path / "mine.zarr", overwrite=True)  # which is of files
+    assert (tmp_path / "mine.zarr").is_dir()
 
 
 @pytest.mark.parametrize(("suffix", "package"), [("nwb", "pynwb"), ("zarr", "zarr")])

@@ -43,8 +43,8 @@ def export_table(
         FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
             without ``overwrite`` where the path is an existing file that is no table or map.
     """
-    if path.suffix == ".zarr" and path.is_dir() and not (overwrite or is_zarr_result(path)):
-        raise FingerflowError(f"{path} exists and is no result; give another name, or allow it by --overwrite")
+    if path.suffix == ".zarr" and path.exists() and not is_zarr_result(path):  # no folder is replaced by `overwrite`
+        raise FingerflowError(f"{path} exists and is no result; give another name, or remove it")
     keep_others(path, is_table, overwrite)
     if rows not in ROWS:
         raise FingerflowError(f"rows of {rows!r} are not known; choose {', '.join(ROWS)}")
