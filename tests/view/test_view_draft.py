@@ -149,7 +149,9 @@ def test_a_key_is_written_where_its_commented_line_stands(press: Path) -> None:
     draft.set(("forces", "sign"), [-1, 1, 1])
     draft.set(("calibration", "mm_per_px"), 0.03)
     headings = re.split(r"^\[", draft.text, flags=re.MULTILINE)
-    forces, calibration = (next(part for part in headings if part.startswith(name)) for name in ("forces", "calibration"))
+    forces, calibration = (
+        next(part for part in headings if part.startswith(name)) for name in ("forces", "calibration")
+    )
     assert draft.text.count("[forces]") == 1
     assert re.search(r'^file = "f.csv" .*# CSV', forces, re.MULTILINE)
     assert re.search(r"^sign = \[-1, 1, 1\] .*# -1 where", forces, re.MULTILINE)
