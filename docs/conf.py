@@ -30,6 +30,7 @@ exclude_patterns = ["site", "build_tools", "gallery", "release", "generated/scri
 default_role = "code"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+napoleon_custom_sections = [("Convention", "params_style")]
 napoleon_use_rtype = False
 napoleon_use_ivar = True
 autodoc_member_order = "bysource"

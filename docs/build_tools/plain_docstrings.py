@@ -7,7 +7,7 @@ section are laid out by hand (an equation, a list), and keep their layout.
 import re
 from typing import Any
 
-_SECTIONS = re.compile(r"(Args|Arguments|Attributes|Example|Examples|Note|Notes|Raises|Returns|Yields):\s*$")
+_SECTIONS = re.compile(r"(Args|Arguments|Attributes|Convention|Example|Examples|Note|Notes|Raises|Returns|Yields):\s*$")
 _ARGUMENT = re.compile(r"[a-z_]+: \S")
 _CODE = re.compile(r"(``.+?``|:\w+:`[^`]+`|`[^`]+`)")
 _SPECIAL = re.compile(r"[\\*|]|(?<=\w)_(?!\w)")

@@ -23,7 +23,8 @@ def torch_op(
     """Return a decorator that registers a function as `torch.ops.fingerflow.<name>`, opaque to the compiler.
 
     Outside compilation the function is called directly, and so it is while torch exports (to standard operators) and if
-    a derivative is needed. The compiler infers the shapes of results from the function itself, if it is one of kernels:
+    a derivative is needed. A function with `shapes`, whose control flow depends on data, is exported as the op, and
+    `torch.func.vmap` calls it once, with the mapped axis folded into the batch. The compiler infers the shapes of results from the function itself, if it is one of kernels:
     it runs on tensors without values, and the library computes nothing (`shapes_only`). The signature is taken from the
     annotations, a type variable standing for a tensor: tensors and numbers in, a tensor or a tuple of tensors out. Of
     these, tensors with two or more axes may be None. No result shares memory with another or with an argument.
@@ -31,7 +32,11 @@ def torch_op(
     Args:
         changes: names of the tensors that it writes to.
         shapes: needed for a function of portable ops, on any device, whose control flow depends on data: returns
-            tensors of the shapes and dtypes of its results from the same arguments.
+            tensors of the shapes and dtypes of its results from the same arguments. The first axis of all its tensors,
+            in and out, is the batch.
+
+    Raises:
+        RuntimeError: when called, if `torch.func.vmap` and a derivative are asked of a function with `shapes`.
     """
 
     def known(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -61,9 +66,32 @@ def torch_op(
         torch.library.register_fake(f"fingerflow::{name}", shaped, lib=_OPS)
         op = getattr(torch.ops.fingerflow, name).default
 
+        def folded(info: Any, dims: tuple[int | None, ...], *args: Any) -> Any:
+            """Compute the op of a mapped axis of size V and a batch of B as one of a batch of V B."""
+            size = info.batch_size
+            result = op(*(_into_batch(one, dim, size) for one, dim in zip(args, dims, strict=True)))
+            if kind is Tensor:
+                return result.unflatten(0, (size, -1)), 0
+            missing = [none and part.ndim == 1 for none, part in zip(may_be_none, result, strict=True)]
+            split = [part if none else part.unflatten(0, (size, -1)) for none, part in zip(missing, result, strict=True)]
+            return tuple(split), tuple(None if none else 0 for none in missing)
+
+        if shapes is not None:
+            torch.library.register_vmap(f"fingerflow::{name}", folded, lib=_OPS)
+
+        def is_opaque(args: tuple[Any, ...]) -> bool:
+            """Return whether to call the op in place of the function."""
+            if torch.compiler.is_compiling():
+                return not (torch.compiler.is_exporting() and shapes is None) and not requires_gradient(*args)
+            if shapes is None or not any(_is_mapped(one) for one in args):
+                return False
+            if requires_gradient(*args):
+                raise RuntimeError(f"{name} has no derivative under torch.func.vmap: pass a batch (B, ...) instead")
+            return True
+
         @functools.wraps(function)
         def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-            if not torch.compiler.is_compiling() or torch.compiler.is_exporting() or _requires_gradient(args):
+            if not is_opaque(args):
                 return function(*args, **kwargs)
             result = op(*args, **kwargs)
             if kind is Tensor:
@@ -76,10 +104,34 @@ def torch_op(
     return known
 
 
-def _requires_gradient(arguments: tuple[Any, ...]) -> bool:
-    """Return whether any argument requires a gradient, which an opaque op cannot provide."""
+def requires_gradient(*arguments: Any) -> bool:
+    """Return whether any tensor among the arguments requires a gradient, which an opaque op cannot provide.
+
+    `torch.func.vmap` hides from its function that a tensor does, so that the mapped tensor is asked too.
+    """
     tensors = (one for one in arguments if isinstance(one, Tensor))
-    return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    return torch.is_grad_enabled() and any(level.requires_grad for one in tensors for level in _levels(one))
+
+
+def _is_mapped(argument: Any) -> bool:
+    return isinstance(argument, Tensor) and any(torch._C._functorch.is_batchedtensor(one) for one in _levels(argument))
+
+
+def _levels(tensor: Tensor) -> list[Tensor]:
+    """Return a tensor and those that it wraps, one for each transform of `torch.func` around its function."""
+    levels = [tensor]
+    if not torch.compiler.is_compiling() and torch._C._are_functorch_transforms_active():
+        while torch._C._functorch.is_functorch_wrapped_tensor(levels[-1]):
+            levels.append(torch._C._functorch.get_unwrapped(levels[-1]))
+    return levels
+
+
+def _into_batch(argument: Any, dim: int | None, size: int) -> Any:
+    """Return a tensor (B, ...), mapped over `dim` or the same for all, as a batch (`size` B, ...)."""
+    if not isinstance(argument, Tensor):
+        return argument
+    mapped = argument.expand(size, *argument.shape) if dim is None else argument.movedim(dim, 0)
+    return mapped.flatten(0, 1)
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:

@@ -81,6 +81,14 @@ def otsu_threshold(
 
     Raises:
         ValueError: see `histogram`.
+
+    Convention:
+        axes: one number per frame, whatever the order of its pixels.
+        sign: `frames > threshold` is the brighter class.
+        pixel centre: not used.
+        dtype: float64.
+        NaN: is not counted; a frame of a single level has the threshold NaN.
+        border: every pixel counts alike.
     """
     low, high = _range(frames, value_range)
     counts = histogram(frames, mask, _BINS, (low, high))

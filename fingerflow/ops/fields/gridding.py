@@ -37,6 +37,14 @@ def scattered_to_grid(
 
     Raises:
         TypeError, ValueError: a dtype, shape or gauge length is invalid.
+
+    Convention:
+        axes: the last axis of points is (x, y); rows of the result follow `grid_y`, columns `grid_x`.
+        sign: that of the values.
+        pixel centre: nodes lie at the coordinates of the axes, in the unit of the points.
+        dtype: widest of the inputs, at least float32.
+        NaN: in a point or its value, leaves the point out; a node without a fit is NaN.
+        border: a node that points do not surround is NaN.
     """
     for name, axis in (("grid_x", grid_x), ("grid_y", grid_y)):
         if axis.dim() != 1:

@@ -60,6 +60,14 @@ def local_gradients(
 
     Raises:
         TypeError, ValueError: a dtype, shape or setting is invalid.
+
+    Convention:
+        axes: the last axis of points is (x, y); gradient[..., i, j] = d value_i / d x_j.
+        sign: positive where the value grows along the axis.
+        pixel centre: not used; points have any unit and origin.
+        dtype: widest of the inputs.
+        NaN: in a point or its value, leaves the point out; a query without a fit is NaN.
+        border: one-sided fit, which `centroid_offset` shows.
     """
     queries = points if queries is None else queries
     _check(points, values, queries, gauge_length, variance, minimum_points)

@@ -15,13 +15,31 @@ from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
 
 
 def divergence(gradient: Tensor) -> Tensor:
-    """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order."""
+    """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order.
+
+    Convention:
+        axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
+        sign: positive where area grows.
+        pixel centre: not used.
+        dtype: that of the input.
+        NaN: in an element, makes that element NaN.
+        border: none, each element stands alone.
+    """
     ux, _, _, vy = _parts(gradient)
     return ux + vy
 
 
 def curl(gradient: Tensor) -> Tensor:
-    """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y."""
+    """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y.
+
+    Convention:
+        axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
+        sign: positive for a rotation from x towards y, clockwise in the picture.
+        pixel centre: not used.
+        dtype: that of the input.
+        NaN: in an element, makes that element NaN.
+        border: none, each element stands alone.
+    """
     _, uy, vx, _ = _parts(gradient)
     return vx - uy
 
@@ -47,6 +65,14 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
 
     Raises:
         ValueError: another measure, or a wrong dtype or shape.
+
+    Convention:
+        axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down; the result is (..., 3), exx, eyy, exy.
+        sign: positive for stretch; exy is positive where the right angle from x to y closes.
+        pixel centre: not used.
+        dtype: that of the input.
+        NaN: in an element, makes the components of that element that depend on it NaN.
+        border: none, each element stands alone.
     """
     return torch.stack(strain_parts(*_parts(gradient), measure), dim=-1)
 
@@ -97,6 +123,14 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
 
     Raises:
         ValueError: not young_modulus_mpa > 0 or not -1 < poisson_ratio < 0.5: outside, the energy is not positive.
+
+    Convention:
+        axes: strain (..., 3) is exx, eyy, exy, x to the right, y down.
+        sign: never negative.
+        pixel centre: not used.
+        dtype: that of the input.
+        NaN: in an element, makes that element NaN.
+        border: none, each element stands alone.
     """
     if not (math.isfinite(young_modulus_mpa) and young_modulus_mpa > 0):
         raise ValueError(f"young_modulus_mpa must be a positive number of MPa, found {young_modulus_mpa}")

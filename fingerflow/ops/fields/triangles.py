@@ -31,6 +31,14 @@ def triangle_gradients(
 
     Raises:
         TypeError, ValueError: a dtype, shape or quality limit is invalid.
+
+    Convention:
+        axes: the last axis of points is (x, y); result[..., i, j] = d value_i / d x_j.
+        sign: positive where the value grows along the axis, for either orientation of the triangle.
+        pixel centre: not used; points have any unit and origin.
+        dtype: widest of the inputs.
+        NaN: in a point or its value, makes every triangle with that point NaN.
+        border: none, each triangle stands alone.
     """
     check_scattered(points, values)
     if not 0 <= minimum_quality <= 1:

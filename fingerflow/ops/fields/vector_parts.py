@@ -45,6 +45,14 @@ def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
     Raises:
         TypeError: the field is not floating or the mask not bool.
         ValueError: shapes do not match.
+
+    Convention:
+        axes: channels are (u, v), u along x to the right, v along y down.
+        sign: the three parts add up to the field.
+        pixel centre: values lie at the centres of the pixels.
+        dtype: that of the input.
+        NaN: in a pixel, counts as outside the mask, where all parts are NaN.
+        border: derivatives are one-sided there; no boundary condition.
     """
     _check(field, mask)
     if field.numel() == 0:

@@ -51,6 +51,14 @@ def normalize_illumination(
 
     Raises:
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
+
+    Convention:
+        axes: rows are y down, columns x to the right; each pixel stands alone but for the full light.
+        sign: 1 is the empty glass, less is darker.
+        pixel centre: frames and reference share their pixels.
+        dtype: float32, or float64 if an input is.
+        NaN: in a pixel of an input, makes it not valid, with quotient 1.
+        border: none, each pixel stands alone but for the full light.
     """
     images = [image for image in (frames, reference, dark) if image is not None]
     if not 0 <= minimum_illumination < 1:

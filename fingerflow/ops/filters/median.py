@@ -46,6 +46,14 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     Raises:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
         ValueError: `frames` is not (B, 1, H, W), or `size` is even or under 1.
+
+    Convention:
+        axes: rows are y down, columns x to the right.
+        sign: that of the frames.
+        pixel centre: the window is centred on its pixel.
+        dtype: that of the input.
+        NaN: in a window, makes its median NaN.
+        border: the nearest pixel is repeated.
     """
     check_frames(frames)
     check_window(size)

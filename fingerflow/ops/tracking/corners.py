@@ -77,6 +77,14 @@ def detect_corners(
 
     Raises:
         ValueError: a shape or a number is out of range; the message gives its value.
+
+    Convention:
+        axes: points are (x, y) px, x to the right, y down.
+        sign: the response is positive at a corner, bright or dark.
+        pixel centre: whole numbers; (0, 0) is the upper left pixel.
+        dtype: float32, or float64 if an input is.
+        NaN: in a pixel, leaves no corner where its window holds it; missing corners are NaN and not valid.
+        border: the nearest pixel is repeated for gradients; no corner within `border` px.
     """
     if count < 0 or border < 0 or not min_distance >= 0 or not 0 <= quality <= 1:
         raise ValueError(

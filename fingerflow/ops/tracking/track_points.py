@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tensors.torch_op import requires_gradient, torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
@@ -95,6 +95,14 @@ def track_points(
 
     Raises:
         ValueError: shapes do not match, the window is even or too small, or `passes` is not 1 or 2.
+
+    Convention:
+        axes: points are (x, y) px, x to the right, y down.
+        sign: skin that moves to the right and down gets larger x and y.
+        pixel centre: whole numbers; (0, 0) is the upper left pixel.
+        dtype: float32, or float64 if an input is.
+        NaN: in a point or in a pixel of its window, makes its position NaN, with a status.
+        border: a window that reaches beyond the frame makes the position NaN, with a status.
     """
     _check(previous, current, points, window, initial, warp, passes, noise)
     images = _to_float(previous), _to_float(current)
@@ -106,7 +114,7 @@ def track_points(
     limits_of = (forward_backward_limit, mismatch_limit)
     passed = in_passes(*plain, start, guess, warp, noise, window, passes, gain_offset, search, *limits_of)
     warp, where = passed.warp, passed.points
-    if torch.is_grad_enabled() and any(one.requires_grad for one in (*images, points)):
+    if requires_gradient(*images, points):
         where = _with_derivative(images, points, where, warp, window, gain_offset)
     return Tracks(where, passed.error, passed.covariance, passed.status)
 
