@@ -20,8 +20,8 @@ pytestmark = pytest.mark.long
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-#: Ops whose number of steps depends on data, which cannot be exported.
-BY_DATA = ("dense_flow", "detect_corners", "track_points")
+#: Ops whose number of steps depends on data, and what of each is one op of a graph.
+BY_DATA = {"dense_flow": "whole_flow", "detect_corners": "choose_apart", "track_points": "in_passes"}
 
 
 @pytest.fixture(autouse=True)
@@ -68,13 +68,18 @@ class Exported(nn.Module):
         return self.call(*inputs)
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if not name.startswith(BY_DATA)])
+@pytest.mark.parametrize("name", CASES)
 def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one graph of fixed shapes, to the rounding of sums in another order."""
+    """In one graph of fixed shapes, to the rounding of sums in another order; of torch's own ops where it can be."""
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     case = CASES[name]
     program = torch.export.export(Exported(case.call), case.inputs)
-    assert not [node for node in program.graph.nodes if "higher_order" in str(node.target)]
+    targets = {str(node.target) for node in program.graph.nodes}
+    assert not [target for target in targets if "higher_order" in target]
+    by_data = BY_DATA.get(name.partition(" ")[0])
+    assert {target for target in targets if "fingerflow" in target} == (
+        {f"fingerflow.{by_data}.default"} if by_data else set()
+    )
     for result, wanted in zip(tensors_of(program.module()(*case.inputs)), expected(name), strict=True):
         assert result.dtype == wanted.dtype
         torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)

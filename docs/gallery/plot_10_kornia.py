@@ -3,12 +3,13 @@ In a kornia pipeline
 ====================
 
 Ops take kornia's images `(B, 1, H, W)` and points `(B, N, 2)` as (x, y) px, with whole numbers at pixel centres. So an
-augmentation of kornia moves frames and points alike, and a median filter of ours is a step of kornia's sequence.
+augmentation of kornia moves frames and points alike, and a median filter of ours is a step of kornia's
+`ImageSequential`.
 """
 
 import matplotlib.pyplot as plt
 import torch
-from kornia.augmentation import AugmentationSequential, RandomAffine
+from kornia.augmentation import AugmentationSequential, ImageSequential, RandomAffine
 from kornia.filters import GaussianBlur2d
 from torch import nn
 from torch.nn import functional
@@ -26,7 +27,7 @@ class Median(nn.Module):
 
 torch.manual_seed(0)
 frames = functional.avg_pool2d(torch.rand(2, 1, 160, 160), 5, 1, 2)
-clean = nn.Sequential(GaussianBlur2d((3, 3), (0.5, 0.5)), Median())(frames)
+clean = ImageSequential(GaussianBlur2d((3, 3), (0.5, 0.5)), Median())(frames)
 points = ops.detect_corners(255 * clean, count=60, min_distance=8, border=35).points
 
 # %%

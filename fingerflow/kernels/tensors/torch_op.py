@@ -24,10 +24,11 @@ def torch_op(
 
     Outside compilation the function is called directly, and so it is while torch exports (to standard operators) and if
     a derivative is needed. A function with `shapes`, whose control flow depends on data, is exported as the op, and
-    `torch.func.vmap` calls it once, with the mapped axis folded into the batch. The compiler infers the shapes of results from the function itself, if it is one of kernels:
-    it runs on tensors without values, and the library computes nothing (`shapes_only`). The signature is taken from the
-    annotations, a type variable standing for a tensor: tensors and numbers in, a tensor or a tuple of tensors out. Of
-    these, tensors with two or more axes may be None. No result shares memory with another or with an argument.
+    `torch.func.vmap` calls it once, with the mapped axis folded into the batch. The compiler infers the shapes of
+    results from the function itself, if it is one of kernels: it runs on tensors without values, and the library
+    computes nothing (`shapes_only`). The signature is taken from the annotations, a type variable standing for a
+    tensor: tensors and numbers in, a tensor or a tuple of tensors out. Of these, tensors with two or more axes may be
+    None. No result shares memory with another or with an argument.
 
     Args:
         changes: names of the tensors that it writes to.
@@ -73,7 +74,9 @@ def torch_op(
             if kind is Tensor:
                 return result.unflatten(0, (size, -1)), 0
             missing = [none and part.ndim == 1 for none, part in zip(may_be_none, result, strict=True)]
-            split = [part if none else part.unflatten(0, (size, -1)) for none, part in zip(missing, result, strict=True)]
+            split = [
+                part if none else part.unflatten(0, (size, -1)) for none, part in zip(missing, result, strict=True)
+            ]
             return tuple(split), tuple(None if none else 0 for none in missing)
 
         if shapes is not None:

@@ -101,7 +101,7 @@ def track_points(
         sign: skin that moves to the right and down gets larger x and y.
         pixel centre: whole numbers; (0, 0) is the upper left pixel.
         dtype: float32, or float64 if an input is.
-        NaN: in a point or in a pixel of its window, makes its position NaN, with a status.
+        NaN: in a point, or in a pixel within 3 px of its window, makes its position NaN, with a status.
         border: a window that reaches beyond the frame makes the position NaN, with a status.
     """
     _check(previous, current, points, window, initial, warp, passes, noise)

@@ -1,0 +1,436 @@
+"""The Convention block of every public op: axes, sign, pixel centre, dtype, NaN and border are as it states.
+
+A new op takes a line of `KINDS`, `SIGNS`, `OF_NAN` and `BORDERS`.
+"""
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fingerflow import ops
+from tests.embedded import CASES, HEIGHT, WIDTH, expected, scene, tensors_of
+
+ENTRIES = ["axes", "sign", "pixel centre", "dtype", "NaN", "border"]
+
+#: What the inputs and results of an op are, from which follows what a mirror does to them.
+KINDS = {
+    "curl": ("gradient", "pseudo"),
+    "dense_flow": ("image image", "field matrices image"),
+    "detect_corners": ("image -", "places - -"),
+    "divergence": ("gradient", "-"),
+    "green_lagrange": ("gradient", "strain"),
+    "helmholtz_hodge": ("field image", "field field field"),
+    "local_gradients": ("places vectors", "vectors gradient - -"),
+    "median_filter": ("image -", "image"),
+    "normalize_illumination": ("image image", "image image"),
+    "otsu_threshold": ("image", "-"),
+    "scattered_to_grid": ("places vectors nodes_x nodes_y -", "field"),
+    "strain_energy_density": ("gradient", "-"),
+    "track_points": ("image image places", "places - gradient -"),
+    "triangle_gradients": ("places - vectors", "gradient"),
+}
+
+DTYPES: dict[str, Callable[[list[torch.dtype]], torch.dtype]] = {
+    "that of the input.": lambda given: given[0],
+    "widest of the inputs.": lambda given: given[0],
+    "widest of the inputs, at least float32.": lambda given: torch.promote_types(given[0], torch.float32),
+    "float32, or float64 if an input is.": lambda given: torch.promote_types(given[0], torch.float32),
+    "float64.": lambda given: torch.float64,
+}
+
+
+@pytest.fixture(autouse=True)
+def afresh() -> None:
+    expected.cache_clear()
+
+
+def results_of(name: str, inputs: tuple[Any, ...]) -> list[Tensor]:
+    case = CASES["otsu_threshold - floating" if name == "otsu_threshold" else name]
+    return tensors_of(case.call(*inputs))
+
+
+def inputs_of(name: str, dtype: torch.dtype | None = None) -> tuple[Any, ...]:
+    inputs = CASES["otsu_threshold - floating" if name == "otsu_threshold" else name].inputs
+    if dtype is None:
+        return inputs
+    floats = [isinstance(one, Tensor) and one.dtype not in (torch.bool, torch.int64) for one in inputs]
+    return tuple(one.to(dtype) if is_float else one for one, is_float in zip(inputs, floats, strict=True))
+
+
+def block_of(name: str) -> dict[str, str]:
+    _, _, block = inspect.cleandoc(getattr(ops, name).__doc__).partition("\nConvention:\n")
+    return dict(line.strip().split(": ", 1) for line in block.splitlines())
+
+
+def mirrored(value: Any, kind: str, axis: int) -> Any:
+    """Return a value as it is of the mirrored picture, x to W - 1 - x (axis 0) or y to H - 1 - y (axis 1)."""
+    sign = torch.ones(2).index_fill(0, torch.tensor(axis), -1)
+    last = torch.tensor([WIDTH - 1.0, HEIGHT - 1.0])
+    across = (-1, -2)[axis]
+    changes: dict[str, Callable[[Tensor], Tensor]] = {
+        "image": lambda image: image.flip(across),
+        "field": lambda field: field.flip(across) * sign[:, None, None],
+        "matrices": lambda matrices: matrices.flip(across) * (sign[:, None] * sign)[..., None, None],
+        "places": lambda places: torch.where(sign < 0, last - places, places),
+        "vectors": lambda vectors: vectors * sign,
+        "gradient": lambda gradient: gradient * (sign[:, None] * sign),
+        "strain": lambda strain: strain * torch.tensor([1.0, 1.0, -1.0]),
+        "pseudo": lambda number: -number,
+        "nodes_x": lambda nodes: last[0] - nodes.flip(0) if axis == 0 else nodes,
+        "nodes_y": lambda nodes: last[1] - nodes.flip(0) if axis == 1 else nodes,
+        "-": lambda other: other,
+    }
+    return changes[kind](value)
+
+
+@pytest.mark.parametrize("name", ops.__all__)
+def test_every_op_states_its_convention(name: str) -> None:
+    assert list(block_of(name)) == ENTRIES
+    for table in (KINDS, SIGNS, OF_NAN, BORDERS):
+        assert name in table, "a new op takes a line of each"
+
+
+@pytest.mark.parametrize("axis", [0, 1], ids="xy")
+@pytest.mark.parametrize("name", ops.__all__)
+def test_axes_and_pixel_centres_by_a_mirror(name: str, axis: int) -> None:
+    """The mirrored picture gives mirrored results. It maps x to W - 1 - x only if centres are whole numbers, and takes
+    u to -u only if x comes first. The rounding of points of 50 px in float32, and where an iteration stops, remain.
+    """
+    given, found = (kinds.split() for kinds in KINDS[name])
+    inputs = tuple(mirrored(one, kind, axis) for one, kind in zip(inputs_of(name), given, strict=True))
+    results = results_of(name, inputs)
+    for result, wanted, kind in zip(results, results_of(name, inputs_of(name)), found, strict=True):
+        assert wanted.dtype == torch.bool or wanted.isfinite().any()
+        reflected = mirrored(wanted, kind, axis).double()
+        torch.testing.assert_close(result.double(), reflected, rtol=2e-3, atol=2e-3, equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("name", ops.__all__)
+def test_dtype(name: str, dtype: torch.dtype) -> None:
+    wanted = DTYPES[block_of(name)["dtype"]]([dtype])
+    result = results_of(name, inputs_of(name, dtype))[0]
+    assert result.dtype == wanted
+
+
+GRADIENT = torch.tensor([[0.02, -0.01], [0.03, 0.01]], dtype=torch.float64)
+POINTS = scene(1)[2].double()
+LINEAR = POINTS @ GRADIENT.T
+COLUMNS, ROWS = torch.arange(32.0, 49.0, 4.0).double(), torch.arange(28.0, 37.0, 4.0).double()
+
+
+def image_of(columns: slice, rows: slice, value: float = 200.0) -> Tensor:
+    image = torch.zeros(1, 1, HEIGHT, WIDTH)
+    image[..., rows, columns] = value
+    return image
+
+
+STRIPE = image_of(slice(30, 44), slice(None))
+
+
+def moved_by() -> Tensor:
+    first, _, points, _ = scene(1)
+    return ops.track_points(first, first.roll((1, 3), (2, 3)), points, window=11).points - points
+
+
+def swirl() -> Tensor:
+    """Return share of the solenoidal part in a rotation from x towards y within a disc."""
+    y, x = torch.meshgrid(torch.arange(-20.0, 21.0), torch.arange(-20.0, 21.0), indexing="ij")
+    field, disc = torch.stack((-y, x))[None], (x.square() + y.square() < 324)[None, None]
+    parts = ops.helmholtz_hodge(field, disc)
+    return (parts.solenoidal * field)[disc.expand_as(field)].sum() / field[disc.expand_as(field)].square().sum()
+
+
+#: (what is computed, its true value, tolerance): sign and order of axes by examples known in closed form.
+SIGNS: dict[str, tuple[Callable[[], Any], Any, float]] = {
+    "curl": (lambda: ops.curl(GRADIENT), 0.04, 1e-12),
+    "dense_flow": (lambda: ops.dense_flow(*scene(1)[:2]).displacement.nanmean((0, 2, 3)), [0.5, 0.0], 0.02),
+    "detect_corners": (
+        lambda: (
+            ops.detect_corners(image_of(slice(30, 44), slice(12, 20)), 4, 6.0, noise=1.0, window=3)
+            .points[0]
+            .sort(0)
+            .values
+        ),
+        [[30.0, 12.0], [30.0, 12.0], [43.0, 19.0], [43.0, 19.0]],
+        1.0,  # a corner of a shape lies between pixels
+    ),
+    "divergence": (lambda: ops.divergence(GRADIENT), 0.03, 1e-12),
+    "green_lagrange": (lambda: ops.green_lagrange(GRADIENT), [0.02065, 0.0101, 0.01005], 1e-12),
+    "helmholtz_hodge": (swirl, 1.0, 0.05),  # the staircase border of the disc
+    "local_gradients": (
+        lambda: ops.local_gradients(POINTS, LINEAR, gauge_length=60.0).gradient.nanmean((0, 1)),
+        GRADIENT.tolist(),
+        1e-12,
+    ),
+    "median_filter": (
+        lambda: ops.median_filter(STRIPE, 5),
+        STRIPE.tolist(),
+        0.0,
+    ),
+    "normalize_illumination": (
+        lambda: ops.normalize_illumination(torch.full((1, 1, 4, 4), 50), torch.full((1, 1, 4, 4), 200)).frames.amax(),
+        0.25,
+        0.0,
+    ),
+    "otsu_threshold": (
+        lambda: ops.otsu_threshold(STRIPE, value_range=(-1.0, 255.0)) < STRIPE,
+        (STRIPE > 0).tolist(),
+        0.0,
+    ),
+    "scattered_to_grid": (
+        lambda: ops.scattered_to_grid(POINTS, LINEAR, COLUMNS, ROWS, 60.0)[0, :, 1, 2],
+        (GRADIENT @ torch.stack((COLUMNS[2], ROWS[1]))).tolist(),
+        1e-12,
+    ),
+    "strain_energy_density": (  # E (1 - nu) / (2 (1 + nu) (1 - 2 nu)) exx^2
+        lambda: ops.strain_energy_density(torch.tensor([-0.01, 0.0, 0.0], dtype=torch.float64)),
+        0.6 / (2 * 1.4 * 0.2) * 1e-4,
+        1e-15,
+    ),
+    "track_points": (lambda: moved_by().nanmean((0, 1)), [3.0, 1.0], 0.01),
+    "triangle_gradients": (
+        lambda: ops.triangle_gradients(POINTS, torch.tensor([[0, 1, 2], [1, 0, 2]]), LINEAR)[0],
+        [GRADIENT.tolist()] * 2,
+        1e-9,
+    ),
+}
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", ops.__all__)
+def test_sign(name: str) -> None:
+    compute, wanted, tolerance = SIGNS[name]
+    found = torch.as_tensor(compute()).double()
+    torch.testing.assert_close(found, torch.tensor(wanted, dtype=torch.float64), rtol=0, atol=tolerance)
+
+
+def elementwise(op: Callable[[Tensor], Tensor], given: Tensor) -> None:
+    """NaN stays in its element, and each element stands alone."""
+    broken = given.clone()
+    broken[0, 3, 0] = torch.nan
+    found, wanted = op(broken), op(given)
+    assert found[0, 3].isnan().any()
+    found[0, 3] = wanted[0, 3]
+    assert torch.equal(found, wanted)
+    assert torch.equal(op(given[:, 3:4]), wanted[:, 3:4])
+
+
+def gradients() -> Tensor:
+    return (torch.rand(2, 6, 2, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 0.5) / 10
+
+
+AT = (0, 0, 30, 40)  # a pixel
+
+
+def frame(with_nan: bool = True) -> Tensor:
+    image = scene(1)[0].float()
+    if with_nan:
+        image[AT] = torch.nan
+    return image
+
+
+def around(reach: int) -> Tensor:
+    """Return the pixels whose square of `reach` px to each side holds the pixel `AT`."""
+    mask = torch.zeros(1, 1, HEIGHT, WIDTH, dtype=torch.bool)
+    mask[..., AT[2] - reach : AT[2] + reach + 1, AT[3] - reach : AT[3] + reach + 1] = True
+    return mask
+
+
+def nan_median() -> None:
+    assert torch.equal(ops.median_filter(frame(), 5).isnan(), around(2))
+
+
+def nan_light() -> None:
+    glass = torch.full_like(frame(), 200.0)
+    broken = glass.masked_fill(around(0), torch.nan)
+    for result in (ops.normalize_illumination(broken, glass), ops.normalize_illumination(glass, broken)):
+        assert torch.equal(result.valid, ~around(0))
+        assert result.frames[AT] == 1
+
+
+def nan_otsu() -> None:
+    all_but_one = ops.otsu_threshold(frame(False), ~around(0), (-1.0, 255.0))
+    assert torch.equal(ops.otsu_threshold(frame(), None, (-1.0, 255.0)), all_but_one)
+    assert ops.otsu_threshold(torch.full((1, 1, 4, 4), 7, dtype=torch.uint8)).isnan().all()
+
+
+def nan_corners() -> None:
+    found = ops.detect_corners(frame(), 5000, 1.0, window=7, noise=0.0)
+    x, y = found.points[found.valid].long().T
+    assert len(x) > 20
+    assert not around(4)[0, 0, y, x].any()  # half a window, and the pixel that the gradient needs
+    assert found.points[~found.valid].isnan().all()
+
+
+def nan_tracks() -> None:
+    _, current, points, _ = scene(1)
+    points = torch.cat((points, torch.tensor([[[AT[3] + 3.0, AT[2] - 4.0]]])), 1)
+    points[0, 0] = torch.nan
+    tracks = ops.track_points(frame(), current.float(), points, window=11, passes=1)
+    clean = ops.track_points(frame(False), current.float(), points, window=11, passes=1)
+    near = (points - torch.tensor([AT[3], AT[2]]).float()).abs().amax(-1) <= 5
+    assert near.any()
+    assert tracks.points[near].isnan().all()
+    assert tracks.points[0, 0].isnan().all()
+    assert (tracks.status[near] != 0).all()
+    assert tracks.status[0, 0] != 0
+    far = (points - torch.tensor([AT[3], AT[2]]).float()).abs().amax(-1) > 5 + 3 + 1
+    assert far.any()
+    torch.testing.assert_close(tracks.points[far], clean.points[far], rtol=0, atol=2e-3)  # the estimate of the noise
+
+
+def nan_flow() -> None:
+    found = ops.dense_flow(frame(), scene(1)[1].float(), noise=torch.ones(1)).displacement
+    assert found[:, :, AT[2], AT[3]].isnan().all()
+    assert found[..., AT[2] + 16 : -4, 4:-4].isfinite().all()
+
+
+def nan_points(name: str) -> None:
+    points, values = POINTS.clone(), LINEAR.clone()
+    points[0, 0] = values[0, 1, 0] = torch.nan
+
+    def of(points: Tensor, values: Tensor) -> Tensor:
+        if name == "scattered_to_grid":
+            return ops.scattered_to_grid(points, values, COLUMNS, ROWS, 60.0)
+        return ops.local_gradients(points, values, POINTS, gauge_length=60.0).gradient
+
+    wanted = of(points[:, 2:], values[:, 2:])
+    assert wanted.isfinite().any()
+    torch.testing.assert_close(of(points, values), wanted, rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
+def nan_triangles() -> None:
+    values = LINEAR.clone()
+    values[0, 1, 0] = torch.nan
+    found = ops.triangle_gradients(POINTS, torch.tensor([[0, 1, 2], [0, 3, 4]]), values, minimum_quality=0.0)
+    assert found[0, 0].isnan().all()
+    assert found[0, 1].isfinite().all()
+
+
+def nan_parts() -> None:
+    parts = ops.helmholtz_hodge(frame().expand(-1, 2, -1, -1))
+    for part in parts:
+        assert torch.equal(part.isnan(), around(0).expand_as(part))
+
+
+OF_NAN: dict[str, Callable[[], None]] = {
+    "curl": lambda: elementwise(ops.curl, gradients().flip(-2)),  # NaN in one of its two components
+    "dense_flow": nan_flow,
+    "detect_corners": nan_corners,
+    "divergence": lambda: elementwise(ops.divergence, gradients()),
+    "green_lagrange": lambda: elementwise(ops.green_lagrange, gradients()),
+    "helmholtz_hodge": nan_parts,
+    "local_gradients": lambda: nan_points("local_gradients"),
+    "median_filter": nan_median,
+    "normalize_illumination": nan_light,
+    "otsu_threshold": nan_otsu,
+    "scattered_to_grid": lambda: nan_points("scattered_to_grid"),
+    "strain_energy_density": lambda: elementwise(ops.strain_energy_density, ops.green_lagrange(gradients())),
+    "track_points": nan_tracks,
+    "triangle_gradients": nan_triangles,
+}
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", ops.__all__)
+def test_not_a_number(name: str) -> None:
+    OF_NAN[name]()
+
+
+def border_median() -> None:
+    image = frame(False)
+    padded = functional.pad(image, (2, 2, 2, 2), mode="replicate")
+    assert torch.equal(ops.median_filter(image, 5), ops.median_filter(padded, 5)[..., 2:-2, 2:-2])
+
+
+def border_light() -> None:
+    image, glass = frame(False), torch.full_like(frame(), 200.0)
+    whole = ops.normalize_illumination(image, glass).frames
+    assert torch.equal(ops.normalize_illumination(image[..., 20:30], glass[..., 20:30]).frames, whole[..., 20:30])
+
+
+def border_otsu() -> None:
+    image = frame(False)
+    moved = ops.otsu_threshold(image.roll((9, 7), (2, 3)), value_range=(-1.0, 255.0))
+    assert torch.equal(moved, ops.otsu_threshold(image, value_range=(-1.0, 255.0)))
+
+
+def border_corners() -> None:
+    low, high = torch.tensor([9.0, 9.0]), torch.tensor([WIDTH - 10.0, HEIGHT - 10.0])
+    points = ops.detect_corners(frame(False), 5000, 1.0, border=9, noise=0.0).points
+    points = points[points.isfinite().all(-1)]
+    assert (points >= low).all()
+    assert (points <= high).all()
+    free = ops.detect_corners(frame(False), 5000, 1.0, noise=0.0).points
+    assert ((free < low) | (free > high)).any()
+
+
+def border_tracks() -> None:
+    first, current, points, _ = scene(1)
+    at = torch.tensor([[[3.0, 30.0], [40.0, HEIGHT - 2.0]]])
+    tracks = ops.track_points(first, current, torch.cat((points, at), 1), window=11)
+    assert (tracks.status[0, -2:] == 2).all()
+    assert tracks.points[0, -2:].isnan().all()
+    assert (tracks.status == 0).any()
+
+
+def border_flow() -> None:
+    first = scene(1)[0]
+    away = torch.zeros(1, 2, HEIGHT, WIDTH)
+    away[:, 0] = 6.0
+    found = ops.dense_flow(first, first.roll(6, 3), away).displacement
+    assert found[..., WIDTH - 6 :].isnan().all()
+    assert found[..., 8 : WIDTH - 16].isfinite().all(1).float().mean() > 0.8
+
+
+def border_fit() -> None:
+    places = torch.stack(torch.meshgrid(*[torch.arange(21.0).double()] * 2, indexing="ij"), -1).reshape(1, -1, 2)
+    queries = torch.tensor([[[10.0, 10.0], [0.0, 10.0]]], dtype=torch.float64)
+    fit = ops.local_gradients(places, places @ GRADIENT.T, queries, gauge_length=10.0)
+    torch.testing.assert_close(fit.gradient, GRADIENT.expand(1, 2, 2, 2))
+    assert fit.centroid_offset[0, 0] < 1e-9
+    assert fit.centroid_offset[0, 1] > 1
+    outside = ops.scattered_to_grid(places, places, *[torch.tensor([10.0, 22.0]).double()] * 2, 10.0)
+    assert outside[0, 0].isfinite().tolist() == [[True, False], [False, False]]
+
+
+def border_triangles() -> None:
+    two = torch.tensor([[0, 1, 2], [3, 4, 5]])
+    both = ops.triangle_gradients(POINTS, two, LINEAR)
+    assert torch.equal(ops.triangle_gradients(POINTS, two[1:], LINEAR), both[:, 1:])
+
+
+def border_parts() -> None:
+    """Of a disc that expands, the irrotational part is all, up to its rim; a condition there would take some away."""
+    y, x = torch.meshgrid(torch.arange(-20.0, 21.0), torch.arange(-20.0, 21.0), indexing="ij")
+    field, disc = torch.stack((x, y))[None], (x.square() + y.square() < 324)[None, None]
+    rim = (disc & (x.square() + y.square() > 225)).expand_as(field)
+    part = ops.helmholtz_hodge(field, disc).irrotational
+    assert (part - field)[rim].square().mean() < 0.01 * field[rim].square().mean()
+
+
+BORDERS: dict[str, Callable[[], None]] = {
+    **{name: OF_NAN[name] for name in ("curl", "divergence", "green_lagrange", "strain_energy_density")},  # stand alone
+    "dense_flow": border_flow,
+    "detect_corners": border_corners,
+    "helmholtz_hodge": border_parts,
+    "local_gradients": border_fit,
+    "median_filter": border_median,
+    "normalize_illumination": border_light,
+    "otsu_threshold": border_otsu,
+    "scattered_to_grid": border_fit,
+    "track_points": border_tracks,
+    "triangle_gradients": border_triangles,
+}
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", ops.__all__)
+def test_border(name: str) -> None:
+    BORDERS[name]()
