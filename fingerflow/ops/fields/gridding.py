@@ -42,7 +42,7 @@ def scattered_to_grid(
         axes: the last axis of points is (x, y); rows of the result follow `grid_y`, columns `grid_x`.
         sign: that of the values.
         pixel centre: nodes lie at the coordinates of the axes, in the unit of the points.
-        dtype: widest of the inputs, at least float32.
+        dtype: widest of points and values, at least float32.
         NaN: in a point or its value, leaves the point out; a node without a fit is NaN.
         border: a node that points do not surround is NaN.
     """

@@ -137,7 +137,7 @@ def dense_flow(
         axes: channels are (u, v) px, u along x to the right, v along y down.
         sign: the skin at x in `first` is at x + w in `current`.
         pixel centre: values lie at the centres of the pixels of `first`.
-        dtype: float32, or float64 if an input is.
+        dtype: float32, or float64 if the frames are.
         NaN: in a pixel of `first`, leaves the displacement around it NaN.
         border: NaN where a displaced pixel lies outside the current image.
     """

@@ -82,7 +82,7 @@ def detect_corners(
         axes: points are (x, y) px, x to the right, y down.
         sign: the response is positive at a corner, bright or dark.
         pixel centre: whole numbers; (0, 0) is the upper left pixel.
-        dtype: float32, or float64 if an input is.
+        dtype: float32, or float64 if the frames are.
         NaN: in a pixel, leaves no corner where its window holds it; missing corners are NaN and not valid.
         border: the nearest pixel is repeated for gradients; no corner within `border` px.
     """

@@ -100,7 +100,7 @@ def track_points(
         axes: points are (x, y) px, x to the right, y down.
         sign: skin that moves to the right and down gets larger x and y.
         pixel centre: whole numbers; (0, 0) is the upper left pixel.
-        dtype: float32, or float64 if an input is.
+        dtype: float32, or float64 if the frames are.
         NaN: in a point, or in a pixel within 3 px of its window, makes its position NaN, with a status.
         border: a window that reaches beyond the frame makes the position NaN, with a status.
     """
