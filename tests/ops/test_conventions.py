@@ -118,8 +118,6 @@ def test_axes_and_pixel_centres_by_a_mirror(name: str, axis: int) -> None:
 def test_dtype(name: str, mixed: bool, dtype: torch.dtype) -> None:
     """Of inputs of one dtype, and of those where only the last, such as the points, has it and others are float32."""
     inputs = list(inputs_of(name))
-    if mixed and name == "dense_flow":
-        pytest.skip("takes two images of one dtype")
     values = ("image", "field", "gradient", "places", "vectors")
     kinds = KINDS[name][0].split()
     floats = [k for k, kind in enumerate(kinds) if kind in values and inputs[k].dtype != torch.bool]
