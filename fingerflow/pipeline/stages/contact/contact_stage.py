@@ -188,12 +188,14 @@ class ContactStage(Stage):
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.of_sweat(contact.real_contact_mask[0, 0], period))
         usable = np.flatnonzero(self._usable)
-        for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1]))):
-            picture = self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark
-            number = frame + self.inputs.scene.recording.first_frame
-            if moved := view_faults.of_moved_glass(picture, light, region, number):
-                self.warnings.extend(moved)
-                break
+        pictures = (
+            (
+                frame + self.inputs.scene.recording.first_frame,
+                self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark,
+            )
+            for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
+        )
+        self.warnings.extend(view_faults.of_moved_glass(pictures, light, region))
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))

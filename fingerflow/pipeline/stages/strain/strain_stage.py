@@ -134,12 +134,13 @@ class StrainStage(Stage):
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
-        field = self._onset_field(batch.of(DisplacementStage), frames)
+        *field, counts = self._onset_field(batch.of(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
-        known = np.isfinite(between)
-        for frame, whole, enough in zip(frames, self._whole.of_frames(*field, border), known, strict=True):
-            if enough and np.isfinite(whole.energy):
-                self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
+        counts &= np.isfinite(between)[:, None]
+        whole = self._whole.of_frames(*field, counts, border)
+        known = np.isfinite(whole.energy)
+        self._energy[frames[known]] = whole.energy[known]
+        self._energy_std[frames[known]] = whole.deviation[known]
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
