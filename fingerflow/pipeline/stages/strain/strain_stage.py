@@ -160,9 +160,10 @@ class StrainStage(Stage):
         self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
     ) -> NDArray[np.float64]:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
-        first, second, third = (position[:, one] for one in self._skin.triangles.T)
-        (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
-        areas = abs(ax * by - ay * bx).T / 2
+        # By components: gathering pairs of numbers takes twice as long.
+        first, second, third = (position.transpose(2, 0, 1).take(one, axis=2) for one in self._skin.triangles.T)
+        (ax, ay), (bx, by) = second - first, third - first
+        areas = abs(ax * by - ay * bx) / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
         result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
         return result
