@@ -10,9 +10,10 @@ from scipy.spatial.distance import cdist
 
 from bench.suites.stated import other_presses
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies, Solid, perimeter
+from fingerflow.pipeline.stages.strain import contact_energy
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies, Solid
 from fingerflow.synthetic import Press
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import Border
 
 PRESS = Press(n_frames=60, frame_rate=60.0)
 TWICE = other_presses()["twice the deformation"]
@@ -84,7 +85,7 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
     apart = [cdist(one, one) / WINDOW_MM for one in np.split(contact.position, 2, axis=1)]
     shared = np.clip(1 - apart[0], 0, 1) * np.clip(1 - apart[1], 0, 1)
     root = np.linalg.cholesky(shared + 1e-9 * np.eye(len(shared)))
-    deviation, step = 7e-4, BORDER_MM * np.sqrt(2 / perimeter(contact.border.semi_axes)[0])
+    deviation, step = 7e-4, contact_energy._RADIUS_MM
     size = np.sqrt(np.mean(contact.displacement**2))
     z, ratios = [], []
     for _ in range(DRAWS):

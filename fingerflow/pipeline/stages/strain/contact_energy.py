@@ -15,11 +15,11 @@ from scipy.sparse import csr_array
 
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFunctions, Fields
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[np.float64]
 
-_INDEPENDENT_MM = 2.0  # length of border whose place is uncertain independently of the rest
+_RADIUS_MM = 0.012  # standard deviation of the mean radius of a border from `steady_border`, measured on presses
 # Displacement, mm, by which tracking errs over the whole contact alike: skin looks different once it touches.
 _COMMON_MM = 4e-4
 # Two strips along the border, of this width. A field that vanishes at the border has an RMS displacement in the outer
@@ -78,7 +78,7 @@ class ContactEnergy:
             displacement: (n, N, 2) mm.
             variance: (n, N) mm^2 of a displacement component.
             counts: (n, N) points in contact whose displacement counts from their onset.
-            border: of these n frames.
+            border: of these n frames, smoothed over time.
         """
         counts = counts & np.isfinite(displacement).all(-1) & (variance > 0)
         of_point = variance * (1 + (self._shared @ counts.T.astype(np.float64)).T)
@@ -111,8 +111,7 @@ class ContactEnergy:
         known = np.array([self._by_border])
         if len(some):
             wider = _Points(*(one[some] for one in points))
-            step = BORDER_MM * np.sqrt(_INDEPENDENT_MM / perimeter(wider.axes))
-            wider = wider._replace(axes=wider.axes + step[:, None])
+            wider = wider._replace(axes=wider.axes + _RADIUS_MM)
             larger, _, more = self._energies_of_fields(self._fit(wider), wider)
             known = np.append(known, (larger + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1)
         self._by_border = float(known[-1])

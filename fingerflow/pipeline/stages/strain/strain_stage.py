@@ -19,6 +19,7 @@ from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
+from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
@@ -84,7 +85,7 @@ class StrainStage(Stage):
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = Border.of(series)
+        self._border = steady_border(Border.of(series))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
