@@ -17,7 +17,7 @@ def growing(frames: int = 60) -> Border:
 
 
 def test_an_evenly_growing_contact_is_kept() -> None:
-    """Exactly up to 16 frames before the growth ends. There 33 frames have half the curvature of those before: 16 um."""
+    """Exactly up to 16 frames before growth ends. There 33 frames have half the curvature of those before: 16 um."""
     given = growing()
     found = steady_border(given)
     for one, other in zip(found, given, strict=True):
