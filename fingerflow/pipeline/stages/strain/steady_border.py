@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.tracker.contact_border import Border
 
 _NEAR_MM = 0.3  # unit of distance between borders: a ridge period of 0.45 mm has a third of the weight
-_FRAMES = 16  # before and behind a frame that are taken together
+_FRAMES = 32  # before and behind a frame that are taken together
 _DEGREE = 2  # of the polynomials in time: a contact stops growing within a few frames
 
 
