@@ -130,21 +130,22 @@ class ContactEnergy:
         functions, area = self._functions, np.pi * points.axes.prod(1)
         solid = self._solid.young_modulus_mpa, self._solid.poisson_ratio
         # By the place in the disc, (2, P, n, 2) [direction, ..., component], then by x and y.
-        slope = np.tensordot(functions.gradient, field.coefficients, (2, 1))
-        onto = (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)  # (2, 2, n) [x or y, direction]
+        slope = torch.from_numpy(np.tensordot(functions.gradient, field.coefficients, (2, 1)))
+        onto = torch.from_numpy(
+            (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)
+        )  # (2, 2, n) [x or y, direction]
         (ux, vx), (uy, vy) = (
             [slope[0, ..., k] * one + slope[1, ..., k] * other for k in range(2)] for one, other in onto
         )
         # du/dx by the place now; by the place at onset it is F - 1 with F = (1 - du/dx)^-1, and areas were 1 / det F.
         shrunk = (1 - ux) * (1 - vy) - uy * vx
         since = (1 - vy) / shrunk - 1, uy / shrunk, vx / shrunk, (1 - ux) / shrunk - 1
-        exx, eyy, exy = strain_parts(*map(torch.from_numpy, since), self._solid.measure)
-        density = energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid).numpy()
-        weights = functions.weights[:, None] * area
-        energy = (density * shrunk * weights).sum(0)
-        xx, yy, xy = (weights * one.numpy() for one in stress_parts(exx, eyy, exy, *solid))
-        stress = np.stack([np.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(1, 0, 2)])
-        forces = np.tensordot(functions.gradient, stress, ((0, 1), (0, 2))).transpose(2, 0, 1)
+        exx, eyy, exy = strain_parts(*since, self._solid.measure)
+        weights = torch.from_numpy(functions.weights[:, None] * area)
+        energy = (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid) * shrunk * weights).sum(0).numpy()
+        xx, yy, xy = (weights * one for one in stress_parts(exx, eyy, exy, *solid))
+        stress = [torch.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(0, 1)]
+        forces = np.tensordot(functions.gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
         direct, _, shear = stiffness(*solid)
         # The mean over both components, each with direct x x + shear / 4 y y, where x and y are exchanged.
         scale = ((direct + shear / 4) * area)[:, None] / points.axes**2

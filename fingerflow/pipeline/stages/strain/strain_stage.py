@@ -135,18 +135,18 @@ class StrainStage(Stage):
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
-        *field, counts = self._onset_field(batch.of(DisplacementStage), frames)
+        displacement, variance, counts = self._onset_field(batch.of(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
-        whole = self._whole.of_frames(*field, counts, border)
+        whole = self._whole.of_frames(position, displacement, variance, counts, border)
         known = np.isfinite(whole.energy)
         self._energy[frames[known]] = whole.energy[known]
         self._energy_std[frames[known]] = whole.deviation[known]
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
-        """Return position, displacement, variance and mask of the points for `ContactEnergy.of_frames`.
+    ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
+        """Return displacement, variance and mask of the points for `ContactEnergy.of_frames`.
 
         The mask is False for all points if displacements are not relative to the onset of contact.
         """
@@ -155,7 +155,7 @@ class StrainStage(Stage):
         counts[:, stage.entered] = False
         counts &= stage.by_onsets and self._begins_free
         variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
-        return self.results["position"][frames], moved.displacement, variance, counts
+        return moved.displacement, variance, counts
 
     def _rim_area(
         self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
