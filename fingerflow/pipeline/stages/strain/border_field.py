@@ -27,7 +27,7 @@ _TOGETHER = 8  # frames, of whose points a processor's cache holds all powers
 _RADII, _ANGLES = 10, 24  # places of the quadrature, exact for the density of polynomials of this degree
 
 
-class Fields(NamedTuple):
+class BorderFields(NamedTuple):
     """Coefficients of n fields in the functions of `BorderFunctions`, with their uncertainty."""
 
     coefficients: Array  # (n, K, 2) mean
@@ -64,7 +64,7 @@ class BorderFunctions:
         self.gradient = slopes @ self._mixed
         self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
 
-    def fit(self, places: Array, moved: Array, weight: Array) -> Fields:
+    def fit(self, places: Array, moved: Array, weight: Array) -> BorderFields:
         """Fit n fields to the displacements of N points.
 
         The noise is as large as stated, or as the residuals if they are larger.
@@ -80,7 +80,7 @@ class BorderFunctions:
         noise = _find_scales(normal, numbers)[:, None, None]
         functions = len(self._mixed)
         inverse = np.linalg.inv(normal[:, :functions, :functions])
-        return Fields(inverse @ normal[:, :functions, functions:], noise * inverse)
+        return BorderFields(inverse @ normal[:, :functions, functions:], noise * inverse)
 
     def _normal_equations(self, places: Array, moved: Array, weight: Array) -> Array:
         """Return weighted sums (n, K + 2, K + 2) of products of the K functions and the two displacement components."""

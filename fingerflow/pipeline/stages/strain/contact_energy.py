@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
-from fingerflow.pipeline.stages.strain.border_field import BorderFunctions, Fields
+from fingerflow.pipeline.stages.strain.border_field import BorderFunctions, BorderFields
 from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[np.float64]
@@ -118,10 +118,10 @@ class ContactEnergy:
         result: Array = known[np.searchsorted(some, np.arange(len(energy)), side="right")]
         return result
 
-    def _fit(self, points: "_Points") -> Fields:
+    def _fit(self, points: "_Points") -> BorderFields:
         return self._functions.fit(points.along / points.axes[..., None], points.moved, points.weight)
 
-    def _energies_of_fields(self, field: Fields, points: "_Points") -> tuple[Array, Array, Array]:
+    def _energies_of_fields(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
         """Return energies (n,) of fields, gradients (n, K, 2) in the coefficients, and energy matrix times covariance.
 
         C is the covariance of the coefficients of a component, and Q (n, K, K) that of the energy, a quadratic form in
