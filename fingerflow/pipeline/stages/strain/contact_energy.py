@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
-from fingerflow.pipeline.stages.strain.border_field import BorderFunctions, BorderFields
+from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
 from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[np.float64]
