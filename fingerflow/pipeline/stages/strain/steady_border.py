@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from fingerflow.tracker.contact_border import Border
 
 _NEAR_MM = 0.3  # unit of distance between borders: a ridge period of 0.45 mm has a third of the weight
-_FRAMES = 32  # before and behind a frame that are taken together
-_DEGREE = 2  # of the polynomials in time: a contact stops growing within a few frames
+_SECONDS, _FRAMES = 0.1, 64  # before and behind a frame that are taken together, at most
+_DEGREE = 2  # of the polynomials in time
 
 
-def steady_border(border: Border) -> Border:
-    """Return the border ellipses fitted locally over time; NaN where they are NaN.
+def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
+    """Return the border ellipses fitted locally over the times (n,) s of their frames; NaN where they are NaN.
 
     Centres and second moments of the ellipses are weighted by exp(-d^2 / 2), where d is the distance by which centre
     and mean radius differ from those of the frame.
@@ -30,7 +30,8 @@ def steady_border(border: Border) -> Border:
             (major - minor) * cosine * sine,
         )
     )
-    fitted = _fit_over_time(moments, np.column_stack((border.center, np.sqrt(border.semi_axes.prod(1)))) / _NEAR_MM)
+    places = np.column_stack((border.center, np.sqrt(border.semi_axes.prod(1)))) / _NEAR_MM
+    fitted = _fit_over_time(moments, places, times / _SECONDS)
     xx, yy, xy = fitted[:, 2:].T
     middle, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     positive = (middle > half)[:, None]
@@ -39,16 +40,19 @@ def steady_border(border: Border) -> Border:
     return Border(fitted[:, :2], axes, angle)
 
 
-def _fit_over_time(values: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values (n, V) of n frames fitted by polynomials to those of frames nearby, at places (n, P) nearby."""
-    offsets = np.arange(-_FRAMES, _FRAMES + 1)
-    frames = np.arange(len(values))[:, None] + offsets
+def _fit_over_time(
+    values: NDArray[np.float64], places: NDArray[np.float64], times: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return values (n, V) fitted by polynomials to those at places (n, P) and times (n,) less than 1 from them."""
+    numbers = np.arange(len(values))
+    reach = min(_FRAMES, int(np.max(np.searchsorted(times, times + 1, side="right") - numbers)))
+    frames = numbers[:, None] + np.arange(-reach, reach + 1)
     inside = (frames >= 0) & (frames < len(values))
     frames = frames.clip(0, len(values) - 1)
-    apart = ((places[frames] - places[:, None]) ** 2).sum(-1)
-    weights = np.where(inside & np.isfinite(apart), np.exp(-np.nan_to_num(apart) / 2), 0.0)
-    powers = (offsets[:, None] / _FRAMES) ** np.arange(_DEGREE + 1)
-    weighed = weights[..., None] * powers
+    apart, since = ((places[frames] - places[:, None]) ** 2).sum(-1), times[frames] - times[:, None]
+    near = inside & np.isfinite(apart) & (abs(since) < 1)
+    powers = since[..., None] ** np.arange(_DEGREE + 1)
+    weighed = np.where(near, np.exp(-np.nan_to_num(apart) / 2), 0.0)[..., None] * powers
     # Of fewer frames than coefficients, the solution of the least norm is that of the frame itself.
     found = np.linalg.pinv(weighed.mT @ powers, hermitian=True) @ (weighed.mT @ np.nan_to_num(values)[frames])
     return np.where(np.isfinite(values), found[:, 0], np.nan)

@@ -85,7 +85,7 @@ class StrainStage(Stage):
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = steady_border(Border.of(series))
+        self._border = steady_border(Border.of(series), self.inputs.times)
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
