@@ -1,16 +1,20 @@
 """Run time of the graphs on a GPU: eager, captured and compiled, for one frame or for frames of several recordings.
 
 `contact` is `ContactGraph` on frames of a press in full contact, `key` is `KeyGraph` on 700 points of skin, `tracking`
-is `TrackGraph` on its templates and skin moved by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points;
-views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a camera's cable
-and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled` is
-`torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
+is `TrackGraph` on its templates and skin moved by 0.3 px, `outliers` and `deformation` are `AgreementGraph` and
+`DeformationGraph` on what it found, `fields` is `FieldsGraph` on the displacements of 700 points with deviations and
+medians; views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a
+camera's cable and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled`
+is `torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
 same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
 `deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
 divergence; NaN in one and not in the other counts as infinite.
 
-`launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
-a step that makes the host wait, `waits` says for what, and it cannot be captured. Without CUDA these are all rows.
+`launches` are the operations that an eager call of the portable form gives the accelerator, `MB` and `MFLOP` what they
+move and compute for a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it
+cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
+upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a recording
+takes: all but `key`. Without CUDA these are all rows, and nothing is measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,13 +22,25 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.utils._pytree import tree_map
+from torch.utils._pytree import tree_leaves, tree_map
 
-from bench.launches import HostWait, count_launches
+from bench.devices import DEVICES, predicted_seconds
+from bench.launches import HostWait, Launches, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
-from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, LightGraph, TrackGraph
+from fingerflow.graphs import (
+    AgreementGraph,
+    ContactGraph,
+    DeformationGraph,
+    FieldsGraph,
+    GrossEllipse,
+    KeyGraph,
+    LightGraph,
+    TrackGraph,
+)
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.synthetic import Press
 
 PEER = "processor"
@@ -77,19 +93,48 @@ def run(quick: bool) -> list[Row]:
     """One row a work, way and number of recordings."""
     shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
     if not torch.cuda.is_available():
-        return [
-            {"work": name, "recordings": batch, **_launches(work)}
-            for batch in batches
-            for name, work in _works(shape, points, batch).items()
-        ]
+        return [row for batch in batches for row in _predicted_rows(_works(shape, points, batch), batch)]
     return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
 
 
-def _launches(work: "Work") -> dict[str, int | str | None]:
+def _predicted_rows(works: "Mapping[str, Work]", batch: int) -> list[Row]:
+    """Return a row for each work, and one for their sum over a frame."""
+    counted = {name: _launches(work) for name, work in works.items()}
+    steps = {name: launches for name, launches in counted.items() if isinstance(launches, Launches)}
+    of_frame = [launches for name, launches in steps.items() if name != "key"]
+    rows: list[Row] = [
+        {"work": name, "recordings": batch, **_counts(launches, batch), "measured": "none: no device here"}
+        for name, launches in counted.items()
+    ]
+    if len(steps) == len(works):
+        whole = Launches(sum(one.calls for one in of_frame), None, sum((one.work for one in of_frame), ()))
+        rows.append({**rows[-1], "work": "frame", **_counts(whole, batch)})
+    return rows
+
+
+def _launches(work: "Work") -> Launches | str:
+    """Return the launches of a work, or for what the host waits."""
     try:
-        return {"launches": count_launches(work.graph, work.inputs).calls, "waits": None}
+        return count_launches(work.graph, work.inputs)
     except HostWait as wait:
-        return {"launches": None, "waits": str(wait)}
+        return str(wait)
+
+
+def _counts(launches: Launches | str, batch: int) -> dict[str, float | int | str | None]:
+    """Return the columns of counts, and the frames a second that they predict for a call of `batch` frames."""
+    if isinstance(launches, str):
+        return {"launches": None, "waits": launches}
+    return {
+        "launches": launches.calls,
+        "waits": None,
+        "MB": sum(one.bytes for one in launches.work) / batch / 1e6,
+        "MFLOP": sum(one.flops for one in launches.work) / batch / 1e6,
+        **{
+            f"{name} {way}": float(round(batch / predicted_seconds(launches.work, device, way == "captured")))
+            for name, device in DEVICES.items()
+            for way in ("eager", "captured")
+        },
+    }
 
 
 @torch.inference_mode()
@@ -111,7 +156,7 @@ def rows_on(
             calls |= {
                 way: _call(prepare(work.graph), on_device)
                 for way, prepare in ways.items()
-                if prepare is not captured or launches["waits"] is None
+                if prepare is not captured or isinstance(launches, Launches)
             }
             times = time_in_turns(calls, PEER, rounds)
             expected = work.result(calls[PEER]())
@@ -121,7 +166,7 @@ def rows_on(
                         "work": name,
                         "recordings": batch,
                         "way": way,
-                        **launches,
+                        **_counts(launches, batch),
                         **times[way].of_each(batch).cells(),
                         "deviation": _deviation(work.result(call()).cpu(), expected),
                     }
@@ -132,7 +177,7 @@ def rows_on(
 def _call(graph: Call, inputs: tuple[Any, ...]) -> Callable[[], object]:
     def call() -> object:
         result = graph(*inputs)
-        if inputs[-1].is_cuda:
+        if any(one.is_cuda for one in tree_leaves(inputs) if isinstance(one, Tensor)):
             torch.cuda.synchronize()
         return result
 
@@ -157,11 +202,27 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
     key = KeyGraph(21)
     covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
+    templates = key(previous, places)
+    found = TrackGraph()(templates, current, places)
+    near = find_neighbours(places, WARP_GAUGE_PX)
+    straight = torch.eye(2).expand_as(covariance).contiguous()
+    middle = torch.tensor([[shape[1] / 2, shape[0] / 2]]).repeat(batch, 1)
+    ellipse = GrossEllipse(middle, middle * 0.6, torch.zeros(batch))
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
         "key": Work(key, (previous, places), lambda templates: templates.samples),
-        "tracking": Work(TrackGraph(), (key(previous, places), current, places), lambda found: found.points),
-        "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
+        "tracking": Work(TrackGraph(), (templates, current, places), lambda found: found.points),
+        "outliers": Work(
+            AgreementGraph(),
+            (near, places, found.points, found.variance.sqrt()),
+            lambda outliers: outliers.off_neighbours.float(),
+        ),
+        "deformation": Work(
+            DeformationGraph(21), (places, found, templates.numbers, straight), lambda deformed: deformed.found.points
+        ),
+        "fields": Work(
+            FieldsGraph(50.0), (places, displacement, covariance, ellipse), lambda fields: fields.divergence
+        ),
     }
 
 
