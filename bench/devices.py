@@ -1,8 +1,8 @@
 """Time of a counted step on a named GPU: a prediction from its maker's figures, no measurement.
 
 A call takes as long as the slowest of three: its bytes at the bandwidth, its operations at the peak rate of float32,
-and what starting it costs. Peaks are never reached, so that the prediction is the least time that is possible, but for what
-caches keep from one call to the next and for what a compiler would fuse.
+and what starting it costs. Peaks are never reached, so that the prediction is the least time that is possible, but for
+what caches keep from one call to the next and for what a compiler would fuse.
 """
 
 from collections.abc import Mapping, Sequence

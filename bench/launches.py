@@ -4,9 +4,9 @@ The module runs on tensors with shapes and types but no values (torch's device `
 or mixes such tensors with tensors of the host, would make the host wait. An operation that is no view counts as one
 call, whether it launches one kernel or several. The count is that of the portable form, eager.
 
-`bytes` of a call are those of the elements that it reads and writes, each once: what it moves if no cache keeps anything
-from one call to the next. `flops` are two for each product of a matrix product or a convolution, and one for each
-element of any other call.
+`bytes` of a call are those of the elements that it reads and writes, each once: what it moves if no cache keeps
+anything from one call to the next. `flops` are two for each product of a matrix product or a convolution, and one for
+each element of any other call.
 """
 
 import math

@@ -4,17 +4,17 @@
 is `TrackGraph` on its templates and skin moved by 0.3 px, `outliers` and `deformation` are `AgreementGraph` and
 `DeformationGraph` on what it found, `fields` is `FieldsGraph` on the displacements of 700 points with deviations and
 medians; views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a
-camera's cable and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled`
-is `torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
-same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
-`deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
+camera's cable and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call;
+`compiled` is `torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer
+is over the same frames on this machine's processor, by the same graphs and with the compiled kernels where they were
+built. `deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
 divergence; NaN in one and not in the other counts as infinite.
 
 `launches` are the operations that an eager call of the portable form gives the accelerator, `MB` and `MFLOP` what they
 move and compute for a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it
 cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
-upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a recording
-takes: all but `key`. Without CUDA these are all rows, and nothing is measured.
+upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a
+recording takes: all but `key`. Without CUDA these are all rows, and nothing is measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
