@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import Bundle
-from fingerflow.engines.check import check_engine
+from fingerflow.engines.check import built_in, check_engine, check_frames
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
@@ -27,11 +27,12 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
-        device: on which tensors are computed.
+        device: on which tensors are computed; on a GPU of CUDA calls are replayed as graphs (`engines.capture`).
 
     Raises:
         FingerflowError: native is requested where it cannot be used.
     """
+    from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
     from fingerflow.kernels.tensors import serve
 
@@ -45,6 +46,13 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
+    if device.type == "cuda":
+        captured, side = TorchEngine(settings, device, Captured), max(96, 4 * settings.window_px)
+        try:
+            check_frames(captured, built_in(side, side, 8, 24, settings.window_px))
+            return captured
+        except FingerflowError as error:
+            log.warning("the modules are not captured as graphs and computed call by call: %s", error)
     return TorchEngine(settings, device)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -29,13 +29,13 @@ from fingerflow.graphs import (
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import AgreementGraph
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX
+from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.contact.cells import covered
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
+from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
 Modules = Callable[[Any], Any]  # returns the callable that replaces a module
@@ -188,8 +188,9 @@ class TorchEngine:
             GrossEllipse(*map(real, ellipse)),
             own,
         )
-        known = {name: None if one is None else _array(one) for name, one in found._asdict().items()}
-        return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
+        given = {name: one for name, one in found._asdict().items() if one is not None}
+        known: Any = {**dict.fromkeys(found._fields), **dict(zip(given, _arrays(given.values()), strict=True))}
+        return arrays.FrameFields(**known)
 
     def kind(self) -> object:
         """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
@@ -213,7 +214,7 @@ class TorchEngine:
     def _contact_of(self, many: _Many) -> list[arrays.FrameContact]:
         images, light, black = self._join_light([(images, light) for images, light, _ in many])
         limit = 1 - self._tensor(np.concatenate([threshold for *_, threshold in many]), torch.float32)
-        found = [_array(one) for one in self._contact(images, light, black, limit)]
+        found = _arrays(self._contact(images, light, black, limit))
         return [arrays.FrameContact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
 
     def _threshold_of(self, many: _Many) -> list[Array]:
@@ -259,7 +260,11 @@ class TorchEngine:
             image = _concatenate_frames([one[min(k, len(one) - 1)][None] for one in images])
             guess = self._tensor(courses[k].expect().reshape(*size, 2))
             look = partial(self._look, image)
-            found = [_array(one) for one in in_rounds(look, templates, guess, ROUNDS)]
+            first = look(templates, guess)
+            found = _arrays(first)
+            # Decided on the host, which waits for the first round anyway.
+            if (arrays.FoundPoints(*found).status == TrackStatus.NOT_CONVERGED).any():
+                found = _arrays(further_rounds(look, templates, first, ROUNDS - 1))
             courses.append(courses[k].see(arrays.FoundPoints(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
             every.append(found)
         joined = [np.stack(one) for one in zip(*every, strict=True)]  # (K, B, N, ...)
@@ -292,7 +297,8 @@ class TorchEngine:
         own, found = self._join_found(founds)
         known = [self._repeat_for_frames(one, own) for one in (starts, numbers, inverses)]
         corrected, *others = self._deformation(known[0], Found(*map(self._tensor, found)), *known[1:])
-        every = [*map(_array, corrected)], [*map(_array, others)]
+        copied = _arrays((*corrected, *others))
+        every = copied[: len(corrected)], copied[len(corrected) :]
         return [
             arrays.Corrected(
                 arrays.FoundPoints(*(one[k, :count] for one in every[0])), *(one[k, :count] for one in every[1])
@@ -319,7 +325,7 @@ class TorchEngine:
             near = Neighbours(*(torch.cat(one)[own] for one in zip(*filled_up, strict=True)))
         deviation = self._tensor(np.sqrt(found.variance))
         judged = self._agreement(near, self._repeat_for_frames(starts, own), self._tensor(found.points), deviation)
-        off, uncertain = map(_array, judged)
+        off, uncertain = _arrays(judged)
         return [
             (off[k, :count], uncertain[k, :count])
             for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
@@ -402,5 +408,13 @@ def _batch_key(argument: Any) -> object:
 
 
 def _array(tensor: Tensor) -> Array:
-    result: Array = tensor.detach().cpu().numpy()
-    return result
+    return _arrays([tensor])[0]
+
+
+def _arrays(tensors: Iterable[Tensor]) -> list[Array]:
+    """Copy tensors to the host, with one wait for all of them."""
+    given = [tensor.detach() for tensor in tensors]
+    copies = [one.to("cpu", non_blocking=one.is_cuda) for one in given]
+    if any(one.is_cuda for one in given):
+        torch.cuda.current_stream().synchronize()
+    return [one.numpy() for one in copies]

@@ -242,11 +242,16 @@ def in_rounds(
 ) -> Found:
     """Repeat a registration step until all points (B, N, 2) have converged, at most `rounds` times.
 
-    Points that have not converged take another step from the end of the previous one. More than one step depends on
-    data and cannot be exported.
+    More than one step depends on data and cannot be exported.
     """
-    found = step(templates, prediction)
-    for _ in range(rounds - 1):
+    return further_rounds(step, templates, step(templates, prediction), rounds - 1)
+
+
+def further_rounds(
+    step: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, rounds: int
+) -> Found:
+    """Repeat a registration step for points that have not converged, each from the end of the previous step."""
+    for _ in range(rounds):
         lost = found.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break
