@@ -5,6 +5,7 @@ and what starting it costs. Peaks are never reached, so that the prediction is t
 what caches keep from one call to the next and for what a compiler would fuse.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -34,3 +35,15 @@ def predicted_seconds(work: Sequence[Work], device: Device, captured: bool) -> f
     """Predict the time, s, that the calls of a step take one after the other, eager or as nodes of one CUDA graph."""
     start = device.captured if captured else device.eager
     return sum(max(start, one.bytes / device.bandwidth, one.flops / device.peak) for one in work)
+
+
+def fused_tracking(points: int, window: int, recordings: int, frames: int) -> list[Work]:
+    """Return the work of `kernels.tensors.fused_tracking` on one of the frames that recordings have in a launch.
+
+    A point reads its template once, and of each frame a patch; its tile of a power of two is multiplied twice.
+    """
+    samples, side = window**2, 2 ** math.ceil(math.log2(window + 6))
+    template, of_frame = 4 * (3 * samples + 32), (window + 6) ** 2 + 4 * (2 + 1 + 4 + 2) + 1
+    flops = 2 * 2 * side**3 + 80 * side**2  # products; weights and sums
+    every = points * recordings
+    return [Work(every * (template // frames + of_frame), every * flops)]

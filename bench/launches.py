@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
@@ -61,11 +62,19 @@ class Work(NamedTuple):
 
 
 class Launches(NamedTuple):
-    """Number of calls in a step, its result with (shape, type) in place of each tensor, and the work of each call."""
+    """Number of calls in a step, its result with (shape, type) in place of each tensor, and the work of each call.
+
+    Attributes:
+        peak: most bytes alive at a time of tensors that the step makes.
+        captured: calls of the host where the step is captured (`engines.capture`): the graph, and copies of its inputs
+            and results, one for each dtype.
+    """
 
     calls: int
     result: Any
     work: tuple[Work, ...]
+    peak: int
+    captured: int
 
 
 def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
@@ -89,13 +98,16 @@ def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
     described = tree_map(
         lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
     )
-    return Launches(len(counter.work), described, tuple(counter.work))
+    kinds = [{one.dtype for one in tree_leaves(some) if isinstance(one, Tensor)} for some in (given, result)]
+    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, 1 + sum(map(len, kinds)))
 
 
 class _Counter(TorchDispatchMode):
     def __init__(self, first: bool) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
         self.work: list[Work] = []
+        self.peak = 0
+        self._alive: dict[StorageWeakRef, int] = {}
         self._first = first
 
     def __torch_dispatch__(
@@ -119,7 +131,19 @@ class _Counter(TorchDispatchMode):
             raise HostWait(f"{operation} brings a constant from the host in every call")
         if any(after) and is_call(operation):
             self.work.append(_work(name, given, [one for one in tree_leaves(result) if isinstance(one, Tensor)]))
+        if any(after):
+            self._note_memory(given, [one for one in tree_leaves(result) if isinstance(one, Tensor)])
         return result
+
+    def _note_memory(self, given: Sequence[Tensor], results: Sequence[Tensor]) -> None:
+        """Add the storages of results that are no views, and forget those that are freed."""
+        before = {one.untyped_storage()._cdata for one in given}
+        self._alive = {one: size for one, size in self._alive.items() if not one.expired()}
+        for one in results:
+            storage = one.untyped_storage()
+            if storage._cdata not in before:
+                self._alive[StorageWeakRef(storage)] = storage.nbytes()
+        self.peak = max(self.peak, sum(self._alive.values()))
 
 
 def _work(name: str, given: Sequence[Tensor], results: Sequence[Tensor]) -> Work:

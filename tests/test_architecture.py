@@ -48,7 +48,7 @@ PACKAGES = {
     "errors": set(),
     "schema": set(),
     "kernels": {"numpy"},
-    "tensors": {"torch"},
+    "tensors": {"torch", "triton"},  # Triton only where it is installed
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
     "engines": {"numpy", "onnxruntime"},

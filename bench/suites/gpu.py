@@ -14,7 +14,10 @@ divergence; NaN in one and not in the other counts as infinite.
 move and compute for a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it
 cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
 upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a
-recording takes: all but `key`. Without CUDA these are all rows, and nothing is measured.
+recording takes: all but `key`. `launches_captured` are those of the host where each step is captured: a graph, and
+copies of its inputs and results, by dtype. In the rows `fused` the kernel of Triton follows the points, eight frames in
+a launch, of which one is counted; bytes and operations are those of a formula. Where Triton is installed beside CUDA,
+`tracking` is this kernel. Without CUDA these are all rows, and nothing is measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +27,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_leaves, tree_map
 
-from bench.devices import DEVICES, predicted_seconds
+from bench.devices import DEVICES, fused_tracking, predicted_seconds
 from bench.launches import HostWait, Launches, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
@@ -47,6 +50,7 @@ from fingerflow.synthetic import Press
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
 
+_FRAMES = 8  # that the fused kernel follows in one launch
 _BEFORE = 3  # calls that are not timed: a module is captured in its third
 
 Call = Callable[..., object]
@@ -85,9 +89,20 @@ def _predicted_rows(works: "Mapping[str, Work]", batch: int) -> list[Row]:
         for name, launches in counted.items()
     ]
     if len(steps) == len(works):
-        whole = Launches(sum(one.calls for one in of_frame), None, sum((one.work for one in of_frame), ()))
-        rows.append({**rows[-1], "work": "frame", **_counts(whole, batch)})
+        rows.append({**rows[-1], "work": "frame", **_counts(_joined(of_frame), batch)})
+        points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
+        work = tuple(fused_tracking(points, window, batch, _FRAMES))
+        fused = Launches(1, None, work, 0, steps["tracking"].captured)
+        others = [launches for name, launches in steps.items() if name not in ("key", "tracking")]
+        for name, launches in (("tracking, fused", fused), ("frame, fused", _joined([*others, fused]))):
+            rows.append({**rows[-1], "work": name, **_counts(launches, batch)})
     return rows
+
+
+def _joined(steps: Sequence[Launches]) -> Launches:
+    """Return the launches of several steps, one after the other."""
+    work = sum((one.work for one in steps), ())
+    return Launches(len(work), None, work, max(one.peak for one in steps), sum(one.captured for one in steps))
 
 
 def _launches(work: "Work") -> Launches | str:
@@ -104,9 +119,11 @@ def _counts(launches: Launches | str, batch: int) -> dict[str, float | int | str
         return {"launches": None, "waits": launches}
     return {
         "launches": launches.calls,
+        "launches_captured": launches.captured,
         "waits": None,
         "MB": sum(one.bytes for one in launches.work) / batch / 1e6,
         "MFLOP": sum(one.flops for one in launches.work) / batch / 1e6,
+        "peak_MB": launches.peak / batch / 1e6,
         **{
             f"{name} {way}": float(round(batch / predicted_seconds(launches.work, device, way == "captured")))
             for name, device in DEVICES.items()

@@ -85,21 +85,25 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             raise FingerflowError(f"--engine native: {why}; leave the option out, or take --engine onnx")
     try:
         from fingerflow.engines.onnx import OnnxEngine
-        from fingerflow.engines.providers import CPU, installed_providers
+        from fingerflow.engines.providers import installed_providers
+        from fingerflow.engines.sessions import CAPTURING
     except ModuleNotFoundError as error:
         raise FingerflowError(
             f"no engine serves here: native does not ({why}), and onnxruntime cannot be loaded ({error}); install it: "
             f"pip install onnxruntime"
         ) from None
-    for one in [provider] if provider else installed_providers():
+    names = [provider] if provider else list(installed_providers())
+    ways = [(one, captured) for one in names for captured in (True, False) if one in CAPTURING or not captured]
+    for one, captured in ways:
         try:
-            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads)
+            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads, captured)
             check_engine(engine, bundle.expected)
             break
         except FingerflowError as error:
-            if provider or one == CPU:
+            if (one, captured) == ways[-1]:
                 raise
-            log.warning("provider %s does not serve here and the next is taken: %s", one, error)
+            of_graphs = " with captured graphs" if captured else ""
+            log.warning("provider %s does not serve here%s and the next is taken: %s", one, of_graphs, error)
     log.info("engine: %s, as %s", engine.described, why)
     return engine
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -29,10 +29,10 @@ from fingerflow.graphs import (
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import AgreementGraph
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
+from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDS, WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.contact.cells import covered
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
@@ -253,6 +253,8 @@ class TorchEngine:
         counts, frames = [len(one) for one in places], [len(one) for one in images]
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
+        if kernels.fused_serves(templates.samples, *images):
+            return self._follow_fused(templates, images, places, speeds)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
         courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
@@ -274,6 +276,26 @@ class TorchEngine:
             after = (one.reshape(*size, 2)[place, :count] for one in courses[last][:2])
             results.append(arrays.Followed(own, *after))
         return results
+
+    def _follow_fused(
+        self, templates: Templates, images: Sequence[Tensor], places: Sequence[Array], speeds: Sequence[Array]
+    ) -> list[arrays.Followed]:
+        """Follow the templates of several recordings through all of their frames in one launch."""
+        from fingerflow.kernels.tensors.fused_tracking import find_templates  # needs Triton
+
+        views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b at k B + b
+        lengths = self._tensor(np.array([len(one) for one in images], np.int32))
+        limits = rounding_variance(views), self.settings.forward_backward_limit_px, MISMATCH_SHARE
+        near = self._tensor(stacked(places)), self._tensor(stacked(speeds))
+        *found, place, speed = _arrays(find_templates(templates, views, *near, None, ROUNDS, *limits, lengths))
+        return [
+            arrays.Followed(
+                arrays.FoundPoints(*(one[: len(frames), b, : len(own)] for one in found)),
+                place[b, : len(own)],
+                speed[b, : len(own)],
+            )
+            for b, (frames, own) in enumerate(zip(images, places, strict=True))
+        ]
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
         """Return the templates of B recordings, all or those with indices `rows`, padded and stacked."""
@@ -374,7 +396,23 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
         frames = frames.astype(np.float32)
     elif not frames.flags.writeable:
         frames = np.asarray(_DeclaredWritable(frames))
-    return torch.from_numpy(frames)[:, None].to(device)
+    images = torch.from_numpy(frames)[:, None]
+    return _upload(images, device) if device.type == "cuda" else images.to(device)
+
+
+def _upload(images: Tensor, device: torch.device) -> Tensor:
+    """Copy images to a GPU while it computes: from pinned memory, on a stream of its own."""
+    ahead, current = _upload_stream(device), torch.cuda.current_stream(device)
+    with torch.cuda.stream(ahead):
+        there = images.pin_memory().to(device, non_blocking=True)
+    current.wait_stream(ahead)
+    there.record_stream(current)  # its memory is not given away before `current` has read it
+    return there
+
+
+@cache
+def _upload_stream(device: torch.device) -> torch.cuda.Stream:
+    return torch.cuda.Stream(device)
 
 
 class _DeclaredWritable:

@@ -299,17 +299,19 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = gpu.run(quick=True)
     assert {(row["work"], row["recordings"]) for row in rows} == {
-        (work, batch) for work in (*works, "frame") for batch in (1, 4)
+        (work, batch) for work in (*works, "frame", "tracking, fused", "frame, fused") for batch in (1, 4)
     }
     assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
     fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
     assert fields[0] == fields[1] > 50
-    of_first = {str(row["work"]): row for row in rows[: len(works) + 1]}
+    of_first = {str(row["work"]): row for row in rows if row["recordings"] == 1}
     assert number(of_first["frame"], "launches") == sum(
-        number(row, "launches") for work, row in of_first.items() if work not in ("key", "frame")
+        number(of_first[work], "launches") for work in works if work != "key"
     )
+    assert number(of_first["tracking, fused"], "launches") == 1
+    assert 5 <= number(of_first["tracking"], "launches_captured") <= 7
     for row in rows:  # more recordings a call: more frames a second
-        assert number(row, "H100 eager") < number(row, "H100 captured")
+        assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] == "tracking, fused"
         assert row["measured"] == "none: no device here"
 
 

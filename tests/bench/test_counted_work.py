@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from bench.devices import DEVICES, Device, predicted_seconds
+from bench.devices import DEVICES, Device, fused_tracking, predicted_seconds
 from bench.launches import Work, count_launches
 
 
@@ -47,11 +47,26 @@ def test_work_of_a_call(name: str) -> None:
     assert count_launches(Formula(formula), inputs).work == (work,)
 
 
+def test_most_bytes_alive_at_a_time() -> None:
+    """Of what the step makes: views and inputs do not count, and what is freed is not counted again."""
+    formula = Formula(lambda whole: (((whole * 2)[:, :20] + 1) * 3).sum())
+    assert count_launches(formula, (WHOLE,)).peak == 4 * (200 + 100)
+    assert count_launches(Formula(lambda whole: (whole + 1).exp().exp().exp()), (WHOLE,)).peak == 2 * 4 * 200
+
+
 def test_predicted_time_is_that_of_the_slowest_of_three() -> None:
     device = Device(bandwidth=1e9, peak=1e12, eager=5e-6, captured=1e-6)
     of_start, of_bytes, of_operations = Work(10, 10), Work(20_000, 0), Work(0, 30_000_000)
     assert predicted_seconds([of_start, of_bytes, of_operations], device, captured=False) == pytest.approx(55e-6)
     assert predicted_seconds([of_start, of_bytes, of_operations], device, captured=True) == pytest.approx(51e-6)
+
+
+def test_work_of_the_fused_kernel() -> None:
+    """A template is read once for all frames, a patch in each; a window of 25 px fills a tile of 32 x 32."""
+    (alone,), (chunk,) = (fused_tracking(700, 25, 1, frames) for frames in (1, 8))
+    assert alone.bytes - chunk.bytes == pytest.approx(700 * 4 * (3 * 625 + 32) * 7 / 8, rel=1e-3)
+    assert chunk.bytes > 700 * 31**2
+    assert alone.flops == chunk.flops > 700 * 4 * 32**3
 
 
 def test_a_captured_step_takes_no_longer_anywhere() -> None:

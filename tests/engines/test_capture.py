@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
 
 from fingerflow.engines import choice
 from fingerflow.engines.capture import Captured, RecordedCall
@@ -21,42 +19,12 @@ from fingerflow.engines.engine import Engine, EngineSettings, FrameEllipse
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
+from tests.replayed_ops import record
 
 CPU = torch.device("cpu")
 SETTINGS = EngineSettings(window_px=15, gauge_length_mm=2.0)
 SIZE = (96, 128, 8, 24)
 CALLS = 5  # of each method: two are ordinary, the others replayed
-
-
-class Ops(TorchDispatchMode):
-    """Notes every op with the tensors that it read and gave."""
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self.made: list[tuple[Any, tuple[Any, ...], dict[str, Any], Any]] = []
-
-    def __torch_dispatch__(
-        self, operation: Any, types: Any, arguments: tuple[Any, ...] = (), options: dict[str, Any] | None = None
-    ) -> Any:
-        result = operation(*arguments, **(options or {}))
-        self.made.append((operation, arguments, options or {}, result))
-        return result
-
-
-def record(call: Callable[[], Any]) -> RecordedCall:
-    call()
-    with Ops() as ops:
-        result = call()
-
-    def replay() -> None:
-        for operation, arguments, options, first in ops.made:
-            given = {one.untyped_storage().data_ptr() for one in tensors((arguments, options))}
-            again = operation(*arguments, **options)
-            for old, new in zip(tensors(first), tensors(again), strict=True):
-                if old.untyped_storage().data_ptr() not in given:  # else a view, or it was changed in place
-                    old.copy_(new)
-
-    return RecordedCall(replay, result)
 
 
 def record_for_ever(call: Callable[[], Any]) -> RecordedCall:
@@ -66,10 +34,6 @@ def record_for_ever(call: Callable[[], Any]) -> RecordedCall:
 
 def record_nothing(call: Callable[[], Any]) -> RecordedCall:
     raise RuntimeError("operation not permitted when stream is capturing\nmore")
-
-
-def tensors(value: Any) -> list[Tensor]:
-    return [one for one in tree_leaves(value) if isinstance(one, Tensor)]
 
 
 def captured(how: Callable[[Callable[[], Any]], RecordedCall]) -> TorchEngine:
