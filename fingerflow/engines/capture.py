@@ -18,6 +18,7 @@ from fingerflow.errors import first_line
 
 _AFTER = 2  # ordinary calls of a signature before it is recorded: many signatures, as of lost points, come only once
 _GRAPHS = 8  # of a module, each with memory of its own; the one that was not used for longest is dropped
+_one_recording = Lock()  # a recording begins with freeing the memory that is not used
 log = logging.getLogger("fingerflow.engines")
 
 
@@ -37,19 +38,19 @@ def record_graph(call: Callable[[], Any]) -> RecordedCall:
     Raises:
         RuntimeError: the call waits for the device, or memory is too small.
     """
-    current = torch.cuda.current_stream()
-    try:
-        ahead = torch.cuda.Stream()
-        ahead.wait_stream(current)
-        with torch.cuda.stream(ahead):  # libraries set up what they need, which must not be recorded
-            call()
-        current.wait_stream(ahead)
-        graph = torch.cuda.CUDAGraph()
-        # Other threads may go on to compute on the device.
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
-            result = call()
-    finally:
-        torch.cuda.set_stream(current)  # a failed recording leaves its own stream
+    current, graph = torch.cuda.current_stream(), torch.cuda.CUDAGraph()
+    with _one_recording:
+        try:
+            ahead = torch.cuda.Stream()
+            ahead.wait_stream(current)
+            with torch.cuda.stream(ahead):  # libraries set up what they need, which must not be recorded
+                call()
+            current.wait_stream(ahead)
+            # Other threads may go on to compute on the device.
+            with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+                result = call()
+        finally:
+            torch.cuda.set_stream(current)  # a failed recording leaves its own stream
     return RecordedCall(graph.replay, result)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import cache
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import Bundle
@@ -46,14 +47,24 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
-    if device.type == "cuda":
-        captured, side = TorchEngine(settings, device, Captured), max(96, 4 * settings.window_px)
-        try:
-            check_frames(captured, built_in(side, side, 8, 24, settings.window_px))
-            return captured
-        except FingerflowError as error:
-            log.warning("the modules are not captured as graphs and computed call by call: %s", error)
+    if device.type == "cuda" and _captures(settings, device):
+        return TorchEngine(settings, device, Captured)
     return TorchEngine(settings, device)
+
+
+@cache
+def _captures(settings: EngineSettings, device: torch.device) -> bool:
+    """Return whether an engine of captured modules gives each of two built-in frames its own results; log if not."""
+    from fingerflow.engines.capture import Captured
+    from fingerflow.engines.torch import TorchEngine
+
+    side = max(96, 4 * settings.window_px)
+    try:
+        check_frames(TorchEngine(settings, device, Captured), built_in(side, side, 8, 24, settings.window_px))
+    except FingerflowError as error:
+        log.warning("the modules are not captured as graphs and computed call by call: %s", error)
+        return False
+    return True
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:

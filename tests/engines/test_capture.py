@@ -134,6 +134,7 @@ def test_the_engine_of_a_gpu_is_checked(
         engine = choice.engine_for("auto", SETTINGS, torch.device("cuda"))
     assert isinstance(engine._track, Captured) == (way == "record")  # type: ignore[attr-defined]
     assert len(caplog.messages) == (way != "record")
+    choice._captures.cache_clear()
 
 
 class Scaled(nn.Module):
