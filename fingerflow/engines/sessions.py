@@ -175,7 +175,7 @@ class Sessions:
         if self._short == "tensorrt":
             of_provider |= {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
         chosen: list[Any] = [(self.provider, of_provider)]
-        if self._short != CPU:
+        if self.provider != provider_named(CPU):
             chosen.append(provider_named(CPU))
         devices = plugin_devices(self.provider)
         if devices:
