@@ -101,15 +101,17 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         """Return the area fraction of each cell where the density, linear within a cell, exceeds `limit`."""
         return ((density - limit) * flat + 0.5).clamp(0.0, 1.0)
 
-    def share(limit: Tensor | float, weight: Tensor | float = 1.0) -> Tensor:
+    def shares(limit: Tensor | float, weights: Tensor) -> Tensor:
+        """Return the shares (B, 1, 1, n) that the pattern covers inside, for n weights of the cells (B, h w, n)."""
         part = inside(limit)
         # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
-        covered = (torch.minimum(cells, part) * weight).sum((2, 3), keepdim=True)
-        return (covered / (part * weight).sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)
+        sums = torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2) @ weights  # one product for all of them
+        return (sums[:, :1] / sums[:, 1:].clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)[:, None]
 
+    alike = torch.ones_like(cells)
     limit: Tensor | float = 0.25
     for _ in range(_FIRST_ROUNDS):
-        inner = share(limit)
+        inner = shares(limit, alike.flatten(1)[..., None])
         limit = inner / 2
     solid = (inner - _SOLID).clamp_min(0).sign()
     for _ in range(_BORDERS):
@@ -120,10 +122,9 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         # At a convex border the smoothed region itself is below one half.
         own = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
         level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
-        # The bands and the whole region as channels: few, large calls.
-        weights = torch.cat((*(_band(border, of_band) for of_band in bands), torch.ones_like(border)), dim=1)
+        weights = torch.cat((*(_band(border, of_band) for of_band in bands), alike), dim=1).flatten(2).mT.contiguous()
         for _ in range(_ROUNDS):
-            near, far, everywhere = share(limit, weights).split(1, dim=1)
+            near, far, everywhere = shares(limit, weights).split(1, dim=3)
             rim = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0)
             limit = (solid * everywhere + (1 - solid) * rim) * level
     part = inside(limit)
