@@ -58,7 +58,7 @@ class LiveData:
         self._arrays: dict[str, Array] = {}
         self._scalars: dict[str, float] = {}
         self._expected: Mapping[str, float] = {}
-        self._columns = self._traced + [f"expected_{name}" for name in _TRACED] if expected else []
+        self._columns = [*self._traced, *(f"expected_{name}" for name in _TRACED if expected)]
         self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
 
     def is_watched(self) -> bool:

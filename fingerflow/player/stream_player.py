@@ -293,7 +293,7 @@ class Player:
             return f"{median / 1e3:.1f} s behind"
         if silent and self.frames_in > self.processed + self.dropped:
             return "no result for 1 s"
-        return "loses frames or messages" if loses else ""
+        return "frames or messages are lost" if loses else ""
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())

@@ -131,7 +131,7 @@ class Sink:
             raise
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write summary.json: counts of frames and messages, and latencies. A full disk is logged, as results are safe."""
+        """Write summary.json: counts and latencies of the stream. A full disk is logged: results are safe."""
         part = unfinished(self.folder / "summary.json")
         try:
             part.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
