@@ -30,7 +30,7 @@ from fingerflow.player.camera_clock import unix_now
 from fingerflow.synthetic import Press, write_recording
 
 RATE, FRAMES, LIMIT = 300, 120, 20.0  # frames/s, frames of the press, mm²
-_RECIPE = Path(__file__).parents[2] / "export" / "exact.toml"
+RECIPE = Path(__file__).parents[2] / "export" / "exact.toml"
 _CAMERA = '''
 import time
 
@@ -63,11 +63,12 @@ def run(quick: bool) -> list[Row]:
     if sys.platform == "win32":
         raise Skipped("it needs a pseudo-terminal")
     frames = RATE * (5 if quick else 60)
-    with tempfile.TemporaryDirectory() as folder, exported(_RECIPE.read_text(encoding="utf-8")) as bundle:
-        return _rows(Path(folder), bundle, frames)
+    with tempfile.TemporaryDirectory() as folder, exported(RECIPE.read_text(encoding="utf-8")) as bundle:
+        return measure(Path(folder), bundle, frames)
 
 
-def _rows(folder: Path, bundle: Path, frames: int) -> list[Row]:
+def measure(folder: Path, bundle: Path, frames: int) -> list[Row]:
+    """Return the rows of a stream of so many frames."""
     trial = folder / "press"
     write_recording(trial, Press(n_frames=FRAMES, frame_rate=RATE, rise_time=0.3), progress=False)
     (bundle / "recorded_camera.py").write_text(_CAMERA.format(rate=RATE, frames=trial / "frames.npy"))

@@ -49,7 +49,7 @@ class Served:
         self._ended.append(self._stream.run(*self.source, "--page", str(self.port), *self._arguments))
 
     def ask(self, method: str, path: str, **headers: str) -> tuple[int, bytes]:
-        for _ in range(200):
+        for _ in range(600):
             try:
                 connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
                 connection.request(method, path, headers={"Cookie": f"fingerflow-{self.port}={TOKEN}"} | headers)
