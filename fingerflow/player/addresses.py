@@ -9,7 +9,7 @@ from typing import Any, Protocol, cast
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 
 
-class Kind(Protocol):
+class AddressKind(Protocol):
     """Interface of a module that opens one kind; a module of the folder without `ADDRESS` is none.
 
     Attributes:
@@ -25,11 +25,11 @@ class Kind(Protocol):
         """
 
 
-def kinds(package: str) -> dict[str, Kind]:
+def kinds(package: str) -> dict[str, AddressKind]:
     """Return all kinds in a package by name, in alphabetical order."""
     found = pkgutil.iter_modules(import_module(package).__path__)
     modules = [import_module(f"{package}.{one.name}") for one in found]
-    return {one.ADDRESS.partition(":")[0]: cast(Kind, one) for one in modules if hasattr(one, "ADDRESS")}
+    return {one.ADDRESS.partition(":")[0]: cast(AddressKind, one) for one in modules if hasattr(one, "ADDRESS")}
 
 
 def forms(package: str) -> str:

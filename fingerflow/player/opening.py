@@ -14,8 +14,8 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.addresses import open_address
 from fingerflow.player.condition import Condition
-from fingerflow.player.forces import Forces, LiveForces, SensorForces
 from fingerflow.player.handover import Slot
+from fingerflow.player.live_forces import FrameForces, LiveForces, SensorForces
 from fingerflow.player.live_values import LiveValues
 from fingerflow.player.options import OUTPUTS, SENSORS
 from fingerflow.player.outputs.callback_output import CallbackOutput, OnFrame
@@ -66,7 +66,7 @@ def open_player(
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
-    forces: Forces | None = None
+    forces: FrameForces | None = None
     if options.forces is not None:
         forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
     elif played.forces_in is not None:

@@ -13,7 +13,7 @@ FORM = "serial:DEVICE[@BAUD]"
 _BAUD = 115200
 
 
-class Line(Protocol):
+class SerialLine(Protocol):
     """Interface of an open serial line."""
 
     def read(self, size: int) -> bytes:
@@ -87,7 +87,7 @@ class WindowsLine:
         return data
 
 
-def open_line(address: str) -> Line:
+def open_line(address: str) -> SerialLine:
     """Open a serial line given as DEVICE or DEVICE@BAUD, by default 115200 baud."""
     device, _, baud = address.partition("@")
     if not device or not (baud or str(_BAUD)).isdigit():

@@ -18,10 +18,10 @@ from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.camera_clock import EPOCH, CameraClock
 from fingerflow.player.findings import Findings
-from fingerflow.player.forces import Forces
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData, LiveViews
+from fingerflow.player.live_forces import FrameForces
 from fingerflow.player.live_values import LiveValues
 from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.page_server import serve_page
@@ -89,7 +89,7 @@ class Player:
         sink: Sink,
         layout: RecordLayout,
         settings: Settings,
-        forces: Forces | None = None,
+        forces: FrameForces | None = None,
         values: LiveValues | None = None,
         destinations: Sequence[Destination] = (),
     ) -> None:

@@ -1,4 +1,4 @@
-"""The closed loop of the benchmark: a camera with its own time stamps, and a trigger by both ways. Times are not judged."""
+"""The closed loop of the benchmark: a camera with its own time stamps, a trigger by both ways. Times are not judged."""
 
 import sys
 from pathlib import Path

@@ -15,7 +15,7 @@ from tiny_bundle import frame, write_scene
 from fingerflow import player
 from fingerflow.errors import PlayerError
 from fingerflow.player.addresses import open_address
-from fingerflow.player.forces import LiveForces, SensorForces
+from fingerflow.player.live_forces import LiveForces, SensorForces
 from fingerflow.player.options import SENSORS
 from fingerflow.player.sensors.callback_sensor import CallbackSensor
 from fingerflow.player.sensors.sensor import ForceSample, sample_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fingerflow.player.outputs.output import FrameStamp, Output, as_json
-from fingerflow.player.serial_line import FORM, Line, open_line
+from fingerflow.player.serial_line import FORM, SerialLine, open_line
 
 ADDRESS = f"{FORM}[:TEXT]"
 
@@ -13,7 +13,7 @@ ADDRESS = f"{FORM}[:TEXT]"
 class SerialOutput:
     """Output that writes the same text for every frame, or without a text a line of JSON."""
 
-    def __init__(self, line: Line, text: str) -> None:
+    def __init__(self, line: SerialLine, text: str) -> None:
         self._line, self._text = line, text.encode()
         self.close = line.close
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
-from fingerflow.player.serial_line import FORM, Line, open_line
+from fingerflow.player.serial_line import FORM, SerialLine, open_line
 
 ADDRESS = FORM
 
@@ -16,7 +16,7 @@ class SerialSensor:
     The time of a sample is the arrival of the end of its line.
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: SerialLine) -> None:
         self._line, self._data = line, b""
         self._begun = False
         self.close = line.close

@@ -21,7 +21,7 @@ _CLOSE_BY = 0.05  # s between a frame and its sample, beyond which the force is 
 _FAILED_WAIT = 0.2  # s after a sample that could not be read
 
 
-class Forces(Protocol):
+class FrameForces(Protocol):
     """Interface of the forces of frames."""
 
     @property
