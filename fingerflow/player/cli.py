@@ -37,8 +37,6 @@ def main(
     """
     options = option_parser(prog).parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
-    # By default Python lets a thread run for 5 ms before it switches, which is the time budget of a whole frame.
-    sys.setswitchinterval(5e-4)
     try:
         if options.benchmark:
             print(benchmark(options.bundle))

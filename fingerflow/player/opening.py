@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import logging
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.engines.choice import engine_of_stream
@@ -47,6 +50,8 @@ def open_player(
 
     Raises FingerflowError for all that the user can correct.
     """
+    # By default Python lets a thread run for 5 ms before it switches, which is the time budget of a whole frame.
+    sys.setswitchinterval(5e-4)
     bundle = load_bundle(options.bundle)
     played = choose_input(options, bundle)
     scene, name = played.scene, played.name
@@ -66,14 +71,6 @@ def open_player(
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
-    forces: FrameForces | None = None
-    if options.forces is not None:
-        forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
-    elif played.forces_in is not None:
-        forces = forces_of(played.forces_in)
-    layout = RecordLayout(bundle.points, forces.names if forces else ())
-    values = LiveValues(layout)
-    destinations = _destinations(options, values, on_frame)
     named = options.output or scene.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
@@ -87,7 +84,7 @@ def open_player(
         parallel=parallel,
         page=options.page,
     )
-    header = {
+    header: dict[str, Any] = {
         "format": RESULTS_FORMAT,
         "started": datetime.now(UTC).isoformat(),
         "fingerflow": bundle.version,
@@ -101,34 +98,47 @@ def open_player(
         "threshold": "measured" if tracker.measures else scene.given_threshold,
         "coordinates": COORDINATES,
         "warnings": warnings,
-        "record_bytes": layout.dtype.itemsize,
-        "fields": layout.fields,
     }
-    sink = Sink(folder, header, numbered=named is None)
-    try:
-        source = played.open_source(played.first)
-    except FingerflowError:
-        raise
-    except Exception as error:
-        raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
+    with ExitStack() as opened:  # what is closed again where something else cannot be opened
+        forces: FrameForces | None = None
+        if options.forces is not None:
+            forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)
+            opened.callback(forces.close)
+        elif played.forces_in is not None:
+            forces = forces_of(played.forces_in)
+        layout = RecordLayout(bundle.points, forces.names if forces else ())
+        header |= {"record_bytes": layout.dtype.itemsize, "fields": layout.fields}
+        sink = Sink(folder, header, numbered=named is None)
+        values = LiveValues(layout)
+        destinations = []
+        for one in _destinations(options, values, on_frame):
+            opened.callback(one.output.close)
+            destinations.append(one)
+        try:
+            source = played.open_source(played.first)
+        except FingerflowError:
+            raise
+        except Exception as error:
+            raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
+        opened.pop_all()
     return Player(
         tracker, engine.described, bundle, played, source, sink, layout, settings, forces, values, destinations
     )
 
 
-def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnFrame | None) -> list[Destination]:
-    """Open the outputs of `--send`, and those of `--then` with their conditions."""
+def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnFrame | None) -> Iterator[Destination]:
+    """Open one after another the outputs of `--send`, and those of `--then` with their conditions."""
     if len(options.when) != len(options.then):
         raise PlayerError(
             f"{len(options.when)} --when and {len(options.then)} --then: give one --then after each --when"
         )
     units = values.units_of(options.values)
-    found = [] if on_frame is None else [Destination("on_frame", CallbackOutput(on_frame), tuple(units))]
+    if on_frame is not None:
+        yield Destination("on_frame", CallbackOutput(on_frame), tuple(units))
     for address in options.send:
-        found.append(Destination(address, open_address(OUTPUTS, "output", address, units), tuple(units)))
+        yield Destination(address, open_address(OUTPUTS, "output", address, units), tuple(units))
     for text, address in zip(options.when, options.then, strict=True):
         condition = Condition(text, values.variables)
         log.info("trigger: %s (%s)", text, values.variables[condition.name].long_name)
         output = open_address(OUTPUTS, "output", address, units)
-        found.append(Destination(f"{address} when {text}", output, tuple(units), condition))
-    return found
+        yield Destination(f"{address} when {text}", output, tuple(units), condition)

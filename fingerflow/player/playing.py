@@ -16,17 +16,18 @@ from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.stream_player import Player
 
 LiveFrame = tuple[FrameStamp, Mapping[str, float]]
+LiveSource = str | Path | Callable[[], Any] | None
 
 
 def play(
-    bundle: str | Path, source: str | Path | Callable[[], Any], on_frame: OnFrame | None = None, **options: Any
+    bundle: str | Path, source: LiveSource = None, on_frame: OnFrame | None = None, **options: Any
 ) -> dict[str, Any]:
     """Play a stream to its end and return its summary; results are stored as by the command line.
 
     Args:
         bundle: folder of the bundle.
         source: file, folder, "synthetic", or a camera's factory: a function that returns a function which returns the
-            next frame.
+            next frame. None for that of the options, such as ``camera="opencv:0"``, or of the scene.
         on_frame: called with the stamp and the values of each frame, in a thread of its own. While it is busy the
             newest frame waits and older ones are left out, which the summary counts as overtaken; a file without
             `rate` waits for it instead.
@@ -38,7 +39,7 @@ def play(
     return _open(bundle, source, on_frame, options).run()
 
 
-def live_frames(bundle: str | Path, source: str | Path | Callable[[], Any], **options: Any) -> Iterator[LiveFrame]:
+def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -> Iterator[LiveFrame]:
     """Yield the stamp and the values of each frame of a stream, which ends with the loop.
 
     Arguments and errors are those of `play`. While the loop is busy the newest frame waits and older ones are left
@@ -69,9 +70,7 @@ def live_frames(bundle: str | Path, source: str | Path | Callable[[], Any], **op
         raise failures[0]
 
 
-def _open(
-    bundle: str | Path, source: str | Path | Callable[[], Any], on_frame: OnFrame | None, options: Mapping[str, Any]
-) -> Player:
+def _open(bundle: str | Path, source: LiveSource, on_frame: OnFrame | None, options: Mapping[str, Any]) -> Player:
     arguments = [str(bundle)]
     for name, value in options.items():
         for one in value if isinstance(value, (list, tuple)) and name != "shape" else [value]:
@@ -80,7 +79,8 @@ def _open(
     parser = option_parser("play")
     parser.error = _refuse  # type: ignore[method-assign]
     parsed = parser.parse_args(arguments)
-    setattr(parsed, "camera" if callable(source) else "source", source if callable(source) else str(source))
+    if source is not None:
+        setattr(parsed, "camera" if callable(source) else "source", source if callable(source) else str(source))
     return open_player(parsed, on_frame=on_frame)
 
 

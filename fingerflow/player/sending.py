@@ -17,7 +17,8 @@ from fingerflow.player.outputs.output import FrameStamp, Output
 
 log = logging.getLogger("fingerflow.player")
 
-_TRIGGERS_WAITING = 256
+_WAITING = 256  # messages
+_CATCH_UP = 0.01  # s within which all messages that wait are to be sent, or else only the newest is
 _CLOSING = 2.0  # s that a stopped stream waits for an output before it abandons it
 
 
@@ -46,8 +47,10 @@ class Destination(NamedTuple):
 class Sender:
     """Thread that passes live values to one output.
 
-    A frame that comes while the output is busy takes the place of the one that waits: the newest wins, and the
-    overtaken one is counted. With a condition only the frames are sent at which it becomes true; up to 256 wait.
+    Of the frames that come while the output is busy the newest is sent next, and the overtaken ones are counted. All of
+    them are sent where that takes 10 ms at most, by the time of the last message: then not the output was slow, but
+    this thread had to wait for a processor. With a condition only the frames at which it becomes true are sent, in
+    turn; up to 256 wait.
 
     Args:
         to: where to send.
@@ -55,7 +58,7 @@ class Sender:
         triggered: called after each message of a condition, with the frame's number, the condition, the latency in s.
 
     Attributes:
-        sent, overtaken, failed: counts of messages; one that hangs at the end has failed.
+        sent, failed: counts of messages. What was not sent when the stream ended has failed.
         latencies: from the camera time of a frame to the end of its sending.
     """
 
@@ -67,8 +70,10 @@ class Sender:
     ) -> None:
         self.name, self._output, self._values, self._condition = to
         self._waits, self._triggered = waits, triggered
-        self._messages: Channel[Message] = Channel(_TRIGGERS_WAITING if to.condition else 1)
-        self.offered = self.sent = self.overtaken = self.failed = 0
+        self._messages: Channel[Message] = Channel(_WAITING)
+        self.offered = self.sent = self.failed = 0
+        self._pushed_out = self._passed_over = 0  # overtaken, as the offering and the sending thread count them
+        self._took = 0.0  # s, by the last message
         self.latencies = Latencies()
         self._fails = False
         self._thread = threading.Thread(target=self._send_all, name=f"send {self.name}", daemon=True)
@@ -82,15 +87,25 @@ class Sender:
         if self._waits:
             self._messages.put(message)
         else:
-            self.overtaken += self._messages.put_newest(message) is not None
+            self._pushed_out += self._messages.put_newest(message) is not None
+
+    def stop_waiting(self) -> None:
+        """Let the stream no longer wait for this output, so that it can end; what it still offers has failed."""
+        if self._waits:
+            self._messages.close()
 
     def close(self) -> None:
         """Send what waits and close the output; abandon an output that takes longer than two seconds."""
         self._messages.close()
         self._thread.join(_CLOSING)
         if self._thread.is_alive():
-            self.failed = self.offered - self.sent - self.overtaken
             log.warning("%s: is still sending after %.0f s: it is left behind", self.name, _CLOSING)
+        self.failed = self.offered - self.sent - self.overtaken
+
+    @property
+    def overtaken(self) -> int:
+        """Return the number of messages that were not sent because a newer frame was there."""
+        return self._pushed_out + self._passed_over
 
     @property
     def lost(self) -> int:
@@ -110,25 +125,42 @@ class Sender:
             f"camera to output ms: median {latency['median']}, p99 {latency['p99']}"
         )
 
+    def _next(self) -> list[Message]:
+        """Return the messages that are sent next, after waiting for one; none at the end."""
+        found: list[Message] = []
+        while (message := self._messages.get(wait=not found)) is not None:
+            found.append(message)
+        in_turn = self._waits or self._condition is not None
+        if in_turn or len(found) * self._took <= _CATCH_UP:
+            return found
+        self._passed_over += len(found) - 1
+        return found[-1:]
+
     def _send_all(self) -> None:
-        while (message := self._messages.get()) is not None:
-            frame = message.frame._replace(written=unix_now())
-            try:
-                self._output.send(frame, {name: message.values[name] for name in self._values})
-            except Exception as error:
-                self.failed += 1
-                if not self._fails:
-                    log.warning("%s: frame %d was not sent: %s", self.name, frame.number, first_line(error))
-                self._fails = True
-                continue
-            latency = unix_now() - frame.camera_time
-            self.sent += 1
-            self._fails = False
-            self.latencies.add(latency)
-            if self._condition is not None:
-                with contextlib.suppress(FingerflowError, ValueError):  # of a file that is full, or closed by now
-                    self._triggered(frame.number, self._condition.text, latency)
+        while messages := self._next():
+            for message in messages:
+                self._send(message)
         try:
             self._output.close()
         except Exception as error:
             log.warning("%s: closing: %s", self.name, first_line(error))
+
+    def _send(self, message: Message) -> None:
+        frame = message.frame._replace(written=unix_now())
+        try:
+            self._output.send(frame, {name: message.values[name] for name in self._values})
+        except Exception as error:
+            self._took = unix_now() - frame.written
+            self.failed += 1
+            if not self._fails:
+                log.warning("%s: frame %d was not sent: %s", self.name, frame.number, first_line(error))
+            self._fails = True
+            return
+        now = unix_now()
+        latency, self._took = now - frame.camera_time, now - frame.written
+        self.sent += 1
+        self._fails = False
+        self.latencies.add(latency)
+        if self._condition is not None:
+            with contextlib.suppress(FingerflowError, ValueError):  # of a file that is full, or closed by now
+                self._triggered(frame.number, self._condition.text, latency)

@@ -187,6 +187,8 @@ class Player:
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""
         self._stop.set()
+        for sender in self._senders:
+            sender.stop_waiting()
 
     def summary(self) -> dict[str, Any]:
         """Return the frame counts, duration in s, frame rate and latencies of the stream so far."""

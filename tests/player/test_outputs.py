@@ -237,7 +237,10 @@ def _message(number: int, area: float = 0.0) -> Message:
     return Message(FrameStamp(number, unix_now(), np.nan, np.zeros(1)), {"area": area})
 
 
-def test_the_newest_frame_waits_for_an_output_that_is_busy() -> None:
+@pytest.mark.parametrize("sent_within", [0.0, np.inf])
+def test_the_newest_frame_waits_for_an_output_that_is_busy(sent_within: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that wait are sent where an output is so fast that they are sent soon."""
+    monkeypatch.setattr("fingerflow.player.sending._CATCH_UP", sent_within)
     slow = Slow()
     sender = Sender(Destination("slow", slow, ("area",)))
     sender.offer(_message(0))
@@ -246,9 +249,40 @@ def test_the_newest_frame_waits_for_an_output_that_is_busy() -> None:
         sender.offer(_message(number))
     slow.go.set()
     sender.close()
-    assert slow.taken.get() == 7
-    assert (sender.sent, sender.overtaken, sender.failed) == (1, 6, 1)
-    assert sender.sent + sender.lost == sender.offered
+    expected = [*range(1, 8)] if sent_within else [7]
+    assert [slow.taken.get() for _ in expected] == expected
+    assert (sender.sent, sender.overtaken, sender.failed) == (len(expected), 7 - len(expected), 1)
+
+
+def test_no_more_than_a_few_hundred_messages_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fingerflow.player.sending._WAITING", 3)
+    slow = Slow()
+    sender = Sender(Destination("slow", slow, ("area",), Condition("gross_contact_area > 20 mm2", VALUES)))
+    for number in range(14):
+        sender.offer(Message(_message(number).frame, {"area": 0.0, "gross_contact_area": 30.0 * (number % 2)}))
+        if number == 1:
+            assert slow.taken.get() == 1
+    slow.go.set()
+    sender.close()
+    assert [slow.taken.get() for _ in range(3)] == [9, 11, 13]  # the newest of the triggers 3, 5 ... 13
+    assert (sender.offered, sender.sent, sender.overtaken, sender.failed) == (7, 4, 3, 0)
+
+
+def test_a_file_waits_for_an_output_until_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fingerflow.player.sending._WAITING", 1)
+    slow = Slow()
+    sender = Sender(Destination("slow", slow, ("area",)), waits=True)
+    offering = threading.Thread(target=lambda: [sender.offer(_message(number)) for number in range(4)])
+    offering.start()
+    assert slow.taken.get() == 0
+    sender.stop_waiting()
+    offering.join(30)
+    assert not offering.is_alive()
+    slow.go.set()
+    sender.close()
+    # The one that waits is still sent, if it waited when the queue was closed.
+    assert sender.sent + sender.failed == sender.offered == 4
+    assert 1 <= sender.sent <= 2
 
 
 def test_an_output_that_hangs_is_left_behind_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:

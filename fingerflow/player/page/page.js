@@ -196,7 +196,7 @@ function numbers(live) {
   const why = kinds.map(([name, count]) => `${count} ${name.replaceAll("_", " ")}`).join(", ");
   const cells = [
     [over ? "Rate, whole stream" : "Rate", text(over ? live.rate_hz : live.rate, 1), "frames/s"],
-    ["Latency, median", text(ms.median, 2), "ms", !over && live.behind],
+    ["Latency, median", text(ms.median, 2), "ms", !over && live.behind.endsWith("behind")],
     ["Latency, 99 %", text(ms.p99, 2), "ms"],
     ["Latency, worst", text(live.latency_ms.worst, 1), "ms"],
     ["Frames", live.processed, `of ${live.frames_in}`],
