@@ -53,6 +53,7 @@ class Results:
             "frames": data.sizes["frame"],
             "first_frame": int(data["frame"][0]),
             "points": data.sizes.get("point", 0),
+            "frame_of_most_contact": self._frame_of_most_contact(),
             "warnings": json.loads(data.attrs["warnings"]),
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
@@ -67,6 +68,14 @@ class Results:
             "cells": [name for name in data if data[name].dims[1:] == ("cell_row", "cell_column")],
             "arrow_scale": self._arrow_scale(),
         }
+
+    def _frame_of_most_contact(self) -> int:
+        """Return the index of the frame with the largest normal force, or the largest gross area; else the middle."""
+        for name in ("normal_force", "gross_contact_area"):
+            values = self._courses.get(name)
+            if values is not None and np.isfinite(values).any():
+                return int(np.nanargmax(values))
+        return int(self.data.sizes["frame"]) // 2
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return numbers and arrays of a frame, given by its index in the result; `shown` is the key of a map, or None.

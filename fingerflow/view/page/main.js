@@ -35,8 +35,10 @@ class App {
     $("chart-svg").onclick = () => download("curves.svg", this.chart.svg());
     $("chart-csv").onclick = () => this.results.saveTable().catch(error => say(error.message));
     document.addEventListener("keydown", event => this.key(event));
-    if (this.setup.facts.result) await this.openResult();
-    else await this.open(this.setup);
+    const run = await get("api/progress?of=process");
+    if (this.setup.facts.result && !run.running) return this.openResult();
+    await this.open(this.setup);
+    if (run.running) await this.setup.processed(run);  // the page was closed meanwhile
   }
   name() { return `frame-${this.frame + this.tab.first}`; }
   async openResult() {
@@ -55,8 +57,9 @@ class App {
     $("tab-results").className = tab === this.results ? "on" : "";
     $("about").textContent = tab === this.results ? tab.facts.path : tab.facts.recording?.path || tab.facts.draft || "";
     await this.measure();
-    const middle = Math.floor(tab.frames / 2);
-    this.frame = Math.max(0, Math.min(tab.frames - 1, number === null ? (tab === this.results ? middle : 0) : number - tab.first));
+    const start = tab === this.results && (number === null || !this.seen) ? tab.facts.frame_of_most_contact : (number ?? 0) - tab.first;
+    this.seen ||= tab === this.results;  // from then on both tabs show the same frame
+    this.frame = Math.max(0, Math.min(tab.frames - 1, start));
     const first = this.show();
     await tab.enter();
     await first;
