@@ -60,9 +60,8 @@ class Quantity:
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
     """Return the principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major strain, rad.
 
-    The direction is measured from x towards y.
-
-    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
+    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle). The direction is
+    measured from x towards y.
     """
     exx, eyy, exy = frame["strain"].values.astype(np.float64).T
     middle, radius = (exx + eyy) / 2, np.hypot((exx - eyy) / 2, exy)

@@ -185,11 +185,28 @@ class Draft:
         return path
 
 
-def files_beside(path: Path) -> list[str]:
-    """Return up to 300 names of files in the folder of a path, without hidden files, as choices for an input field."""
+def names_in(folder: Path) -> tuple[list[str], list[str]]:
+    """Return the names of folders and of files in a folder, at most 300 of each, without hidden ones.
+
+    Raises FingerflowError if the folder cannot be read.
+    """
     try:
-        return sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))[:_MOST_FILES]
-    except OSError:
+        found = sorted((one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: one.name)
+        folders = {one.name for one in found if one.is_dir()}
+    except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
+        raise FingerflowError(f"{folder}: cannot be read ({error}); choose another folder") from None
+    names = [one.name for one in found]
+    return [one for one in names if one in folders][:_MOST_FILES], [one for one in names if one not in folders][
+        :_MOST_FILES
+    ]
+
+
+def files_beside(path: Path) -> list[str]:
+    """Return the names of files and folders in the folder of a path, as choices for an input field."""
+    try:
+        folders, files = names_in(path.parent)
+        return sorted([*folders, *files])
+    except FingerflowError:
         return []
 
 

@@ -142,6 +142,7 @@ def application(session: Session) -> Starlette:
         Route("/api/ready", _get(lambda _: session.ready())),
         Route("/api/variables", _get(lambda _: {name: one.shown() for name, one in VARIABLES.items()})),
         Route("/api/setup", _get(lambda _: session.setup())),
+        Route("/api/folder", _get(lambda request: session.folder(request.query_params.get("at", "")))),
         Route("/api/frame", _get(frame)),
         Route("/api/points", _get(lambda _: session.points())),
         Route("/api/forces", _get(lambda _: session.forces())),

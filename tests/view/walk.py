@@ -33,6 +33,18 @@ def fill(page: Any, key: str, value: str) -> None:
     box.press("Enter")
 
 
+def browse(page: Any, key: str, file: str) -> None:
+    """A file beside the scene, in the dialog of its key, from the folder above."""
+    field = page.locator(f'[data-key="{key}"]')
+    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
+    page.click(f'[aria-label="browse {key}"]')
+    folder = page.text_content("dialog p").rpartition("/")[2]
+    page.click("dialog button:has-text('folder above')")
+    page.click(f"dialog button:text-is('{folder}/')")
+    page.click(f"dialog button:text-is('{file}')")
+    page.wait_for_selector("dialog", state="detached")
+
+
 def choose(page: Any, key: str, column: str) -> None:
     """A column of the force file, in the menu of its key."""
     field = page.locator(f'[data-key="{key}"]')
@@ -106,7 +118,7 @@ def walk(page: Any, seen: Seen) -> None:
     page.check(_LAYER.format("points"))
     page.check("label.toggle:text-is('contact') input")
 
-    fill(page, "forces.file", "forces.csv")
+    browse(page, "forces.file", "forces.csv")
     choose(page, "forces.normal", "normal_force")
     choose(page, "forces.tangential", "tangential_force")
     choose(page, "forces.trigger", "trigger")

@@ -1,4 +1,5 @@
 // Inputs for the keys of a scene, made from the table that the scene is checked with.
+import { browseButton } from "./browser.js";
 import { make, select, title, words } from "./elements.js";
 
 const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 15, 2], "contact.gross_radius_px": [1, 40, 1] };
@@ -143,6 +144,7 @@ function row(key, form, changed, updates) {
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
+    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key)));
   }
   field.append(make("small", { className: "said" }));
   return field;
