@@ -184,7 +184,7 @@ STATE = """given => { say(...given); return [$("state").textContent, $("state").
 OUTPUTS = """() => {
     outputs({ outputs: [{ output: "<udp>", sent: 9, overtaken: 2, failed: 0, latency_ms: { median: 4.5, p99: 7 } }] });
     const texts = what => [...document.querySelectorAll("#outputs " + what)].map(one => one.textContent);
-    return [texts("th, td"), texts(".bad"), $("outputsCard").hidden];
+    return [texts("tr > *"), texts(".bad"), $("outputsCard").hidden];
 }"""
 SCALE = """sizes => { range = 0.001; return sizes.map(some => { scaleTo(some); return range; }); }"""
 LEGENDS = """() => {
