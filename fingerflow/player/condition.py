@@ -79,9 +79,10 @@ def _meant(asked: str, variables: Mapping[str, Variable]) -> str:
 def _factor(variable: Variable, unit: str) -> float:
     """Return the factor from the unit of the data set to a unit as people type it."""
     shown, own = variable.shown_unit, "" if variable.units == "1" else variable.units
-    factors = {_plain(shown.name): shown.factor, _plain(own): 1.0}
+    known = {own: 1.0} | {one.name: one.factor for one in (shown, shown.percent) if one}
+    factors = {_plain(name): factor for name, factor in known.items()}
     if _plain(unit) not in factors:
-        units = " or ".join(repr(one or "no unit") for one in dict.fromkeys((own, shown.name)))
+        units = " or ".join(repr(one or "no unit") for one in known)
         given = f"not in {unit!r}" if unit else "and the condition gives no unit"
         raise PlayerError(f"{variable.name} is measured in {units}, {given}")
     return factors[_plain(unit)]

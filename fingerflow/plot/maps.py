@@ -76,6 +76,9 @@ QUANTITIES: dict[str, Quantity] = {
         "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False
     ),
     "strain_energy_density": Quantity("Strain energy density", "strain_energy_density", signed=False),
+    "decorrelation": Quantity(
+        "Loss of subset correlation", "subset_correlation", lambda frame: 1 - frame["subset_correlation"].values, False
+    ),
     "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
     "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
     "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),

@@ -308,6 +308,7 @@ VALUES |= {one: VARIABLES[one] for one in ("slip_residual", "normal_force", "ell
         ("apparent_area>=20mm²", "gross_contact_area", 20),
         ("median_divergence < -15 um/mm", "median_divergence", -0.015),
         ("median_divergence > 0.015", "median_divergence", 0.015),
+        ("median_divergence > 1.5 %", "median_divergence", 0.015),
         ("slip_residual > 12 µm", "slip_residual", 0.012),
         ("slip_flag > 0.5", "slip_flag", 0.5),
         ("normal_force <= 1e-1 N", "normal_force", 0.1),

@@ -300,6 +300,16 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         page.locator("#chart").click(position={"x": chart["width"] - 16, "y": 60})
         page.wait_for_selector("#picture[data-frame='11']")
 
+        # One button shows deformation in the other unit, here and in what is saved.
+        value = "#panel dl div:has(dt:text-is('median divergence')) dd"
+        seen = float(page.locator(value).first.inner_text())
+        page.click("#unit")
+        page.wait_for_selector("#unit:text-is('Deformation in %')")
+        page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('%')")
+        assert float(page.locator(value).first.inner_text()) == pytest.approx(seen / 10, rel=2e-3)
+        page.click("#unit")
+        page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('µm/mm')")
+
         # What is seen can be saved.
         begins = {"save-png": b"\x89PNG", "save-svg": b"<svg", "save-csv": b"point,x (mm)", "chart-png": b"\x89PNG"}
         for button, first in {**begins, "chart-svg": b"<svg", "chart-csv": b"frame,time (s),normal_force (N)"}.items():

@@ -4,7 +4,7 @@ const TYPES = { uint8: Uint8Array, float32: Float32Array };
 const LEAST_RANGE = 0.001;  // of divergence: below it, noise would be coloured
 let shown = null;  // label, unit, factor and decimals of variables, which do not change
 const POINTS = { tracked: "#ffd54f", outside: "#ffd54f", lacking: "#111" };
-let range = LEAST_RANGE;
+let range = LEAST_RANGE, inPercent = false, over = false;
 
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
@@ -264,7 +264,10 @@ async function refresh() {
       return;
     }
     if (!answer.ok) throw new Error(answer.status);
-    const live = { ...unpack(await answer.arrayBuffer()), shown };
+    const units = Object.entries(shown).map(([name, one]) => [name, inPercent ? { ...one, ...one.percent } : one]);
+    const live = { ...unpack(await answer.arrayBuffer()), shown: Object.fromEntries(units) };
+    $("unit").hidden = !live.shown.divergence.percent;
+    $("unit").textContent = `Deformation in ${live.shown.divergence.unit}`;
     $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;
     numbers(live);
     truth(live);
@@ -277,12 +280,14 @@ async function refresh() {
     const where = live.results ? ` Results: ${live.results}` : "";
     say(live.state, live.state == "ended" ? `The stream has ended ${frames}.${where}`
       : live.state == "failed" ? `The stream was stopped ${frames}: ${live.said}${where}` : "", live.state == "running" ? live.behind : "");
-    if (live.state == "ended" || live.state == "failed") return;
+    over = live.state == "ended" || live.state == "failed";
+    if (over) return;
   } catch (error) {
     console.info(error);
     say("no answer", "Nothing answers here: the stream has ended, or the connection to its computer is lost.");
   }
   setTimeout(refresh, 66);
 }
+$("unit").onclick = () => { inPercent = !inPercent; if (over) refresh(); };
 $("restart").onclick = () => fetch("restart", { method: "POST", headers: { "X-Fingerflow": "1" } });
 refresh();

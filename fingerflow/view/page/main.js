@@ -1,6 +1,6 @@
 // The page: two tabs about one recording, a picture with a slider, and curves.
-import { download, get, newest, say } from "./net.js";
-import { $, setVariables } from "./elements.js";
+import { download, get, newest, post, say } from "./net.js";
+import { $, setVariables, unitOf } from "./elements.js";
 import { Chart } from "./chart.js";
 import { Picture } from "./picture.js";
 import { ResultsView } from "./results.js";
@@ -20,7 +20,14 @@ class App {
     this.frames = newest(async () => this.draw());
   }
   async start() {
-    setVariables(await get("api/variables"));
+    const units = table => { setVariables(table); $("unit").textContent = `Deformation in ${unitOf("divergence")}`; };
+    units(await get("api/variables"));
+    $("unit").onclick = async () => {
+      units(await post("api/percent", {}));
+      this.results.cells = null;
+      await this.tab.enter();
+      await this.show();
+    };
     const draft = await this.setup.load();
     $("tab-setup").disabled = !draft;
     $("tab-results").disabled = !this.setup.facts.result;
