@@ -54,7 +54,8 @@ PACKAGES = {
     "engines": {"numpy", "onnxruntime"},
     "torch_engine": {"numpy", "torch"},
     "tracker": {"numpy"},
-    "player": {"numpy", "cv2"},  # cv2 only where it is installed, for videos
+    # All but NumPy only where they are installed: for videos and cameras, outputs and sensors.
+    "player": {"numpy", "cv2", "harvesters", "pylsl", "serial", "zmq"},
 }
 
 
