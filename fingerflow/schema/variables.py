@@ -172,6 +172,7 @@ TRACK_STATUS = (
     "frame_not_usable",
     "window_differs",
     "not_seeded_yet",
+    "dust_in_window",
 )
 TRACKING = (
     Variable(
@@ -186,7 +187,8 @@ TRACKING = (
     Variable(
         "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
-        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame",
+        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
+        "window in which dust stands out matches",
         label="standard deviation of the position",
     ),
     Variable(

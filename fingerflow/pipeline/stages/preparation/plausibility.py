@@ -281,6 +281,18 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
     ]
 
 
+def of_dust(share: Series, first_frame: int) -> list[str]:
+    """Return a warning if something that rests on the glass holds points back; `share` (frames,) is that of them."""
+    some = np.flatnonzero(share > 0)
+    if not len(some):
+        return []
+    return [
+        f"something rests on the glass while the skin moves, as dust does: it held back up to {np.max(share[some]):.1%} "
+        f"of the points, in {len(some)} frames, the first is {some[0] + first_frame}. Their positions are NaN there "
+        f"(status dust_in_window). Clean the glass"
+    ]
+
+
 def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
     """Return warnings if the gauge length is too short for the point spacing or longer than the contact is wide.
 

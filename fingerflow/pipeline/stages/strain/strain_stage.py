@@ -76,7 +76,8 @@ class StrainStage(Stage):
             self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
         corners = torch.from_numpy(skin.corners).long()
-        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].numpy()
+        # A triangle with a corner that was lost when it touched has no area, and no strain.
+        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].nan_to_num(0.0).numpy()
         self._corners = corners.to(device)
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))

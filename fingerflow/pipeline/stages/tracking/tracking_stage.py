@@ -68,7 +68,7 @@ class TrackingStage(Stage):
         self._full = False  # True if no more points may be seeded
         self._skipped: list[int] = []  # unusable frames before the first seeding
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: seeding region
-        self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
+        self._share, self._error, self._differs, self._held = np.full((4, len(trial)), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -149,15 +149,17 @@ class TrackingStage(Stage):
             "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
         }.items():
             self.results[name][indices] = values
-        tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
+        tracked = status[:, :before] == TrackStatus.TRACKED
         self._share[indices] = tracked.mean(1)
-        self._differs[indices] = differs.mean(1)
+        self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
+        self._held[indices] = (status[:, :before] == TrackStatus.DUST_IN_WINDOW).mean(1)
         self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
+        self.warnings.extend(plausibility.of_dust(self._held, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
