@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.window_match import Centred, correlation_of, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Centred, Shifted, correlation_of, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -22,8 +22,9 @@ _USUAL, _MOST = 4.0, 0.2  # times the median over all points, which is allowed i
 _NOISE = 3.0  # times the loss of correlation by the noise of two images
 # Times the usual residual of a window: largest single residual, and residual of the whole, of a window to look into.
 _PEAK, _LARGE = 4.5, 2.0
-# px from where most samples of a window match, and share of samples that do not: then something else holds the point.
-_HELD_PX, _HELD_SHARE = 0.35, 0.02
+# Distance from where most samples of a window match, px and in its deviations, and share of samples that do not match:
+# beyond these, something else holds the point.
+_HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
 
 
 class Verified(NamedTuple):
@@ -109,9 +110,9 @@ class Verification:
             again = self._dissimilarity((yield from self._sampled(images, *some, better)), suspect)
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
         before, unknown = self.latest, np.isnan(apart)
-        shift, excluded = yield from self._shifts(images, number, places, warp, Centred.of(now).part, noise)
-        away = np.square(shift).sum(1)
-        held = (away > _HELD_PX**2) & (excluded > _HELD_SHARE)
+        shift = yield from self._shifts(images, number, places, warp, Centred.of(now).part, noise)
+        away = np.square(shift.shift).sum(1)
+        held = (away > _HELD_PX**2) & (shift.deviations > _HELD_DEVIATIONS) & (shift.excluded > _HELD_SHARE)
         # A point that cannot be checked keeps its result.
         found = Verified(apart > limit, held, (away / 2).astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, found, strict=True)))
@@ -119,12 +120,12 @@ class Verification:
 
     def _shifts(
         self, images: Images, number: Array, places: Array, warp: Array, now: Array, noise: float
-    ) -> Steps[tuple[Array, Array]]:
-        """Return the shifts (N, 2) px of windows with residuals that stand out, and the shares (N,) of such samples.
+    ) -> Steps[Shifted]:
+        """Return the shifts of N windows, where residuals stand out; they are 0 for other windows.
 
-        `now` (N, m) are the windows minus their means. Both are 0 for other windows.
+        `now` (N, m) are the windows minus their means.
         """
-        shift, excluded = np.zeros((len(now), 2)), np.zeros(len(now))
+        result = Shifted(np.zeros((len(now), 2)), *np.zeros((2, len(now))))
         then, square = self._centred
         with np.errstate(invalid="ignore", divide="ignore"):
             residual = now - (now * then).mean(1, keepdims=True) / square[:, None] * then
@@ -137,8 +138,9 @@ class Verification:
                 some = (number[standing], places[standing], warp[standing])
                 sample = partial(self._sampled, images)
                 found = yield from shifted_alike(self._first[standing], sample, *some, math.sqrt(2) * noise)
-                shift[standing], excluded[standing] = found
-        return shift, excluded
+                for whole, part in zip(result, found, strict=True):
+                    whole[standing] = part
+        return result
 
     def _sampled(self, images: Images, number: Array, places: Array, warp: Array) -> Steps[Array]:
         found: Array = yield Call(self._engine.windows, (images, number, places, warp, STEP))

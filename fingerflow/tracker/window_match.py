@@ -91,10 +91,12 @@ class Shifted(NamedTuple):
 
     Attributes:
         shift: (N, 2) px; 0 where it cannot be found.
+        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
         excluded: (N,) share of the samples that do not match by then, and have no weight.
     """
 
     shift: Array
+    deviations: Array
     excluded: Array
 
 
@@ -128,17 +130,23 @@ def shifted_alike(
         known &= np.isfinite(here).all(1)
         given = np.where(known[:, None], -here, 0.0)
         for _ in range(_WEIGHT_ROUNDS):
-            solved, residual = _weighted_fit(unknown, given, weight)
+            solved, residual, inverse = _weighted_fit(unknown, given, weight)
             spread = np.maximum(_MAD * np.median(np.abs(residual), axis=1), noise)
             weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * spread[:, None])), 0, None))
         shift += np.clip(solved[:, :2], -1, 1)
-    return Shifted(np.where(known[:, None], shift, 0.0), np.where(known, (weight < _EXCLUDED).mean(1), 0.0))
+    shift[~known] = 0
+    square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
+    return Shifted(shift, np.sqrt(square) / spread, np.where(known, (weight < _EXCLUDED).mean(1), 0.0))
 
 
-def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted least-squares solutions (N, k) of N systems (N, m, k), and the residuals (N, m)."""
+def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Return weighted least-squares solutions (N, 4), residuals (N, m) and inverse normal matrices of N systems.
+
+    `unknown` is (N, m, 4), `given` and `weight` are (N, m).
+    """
     weighted = (unknown * weight[..., None]).mT
     matrix = weighted @ unknown
     scale = np.trace(matrix, axis1=1, axis2=2)[:, None, None]
-    solved = np.linalg.solve(matrix + (1e-12 * scale + _LEAST_VARIANCE) * np.eye(4), weighted @ given[..., None])
-    return solved[..., 0], given - (unknown @ solved)[..., 0]
+    inverse = np.linalg.inv(matrix + (1e-12 * scale + _LEAST_VARIANCE) * np.eye(4))
+    solved = inverse @ (weighted @ given[..., None])
+    return solved[..., 0], given - (unknown @ solved)[..., 0], inverse
