@@ -20,8 +20,7 @@ STEP = 3  # px of a window's grid: 81 samples of a window of 25 px
 _ALIKE = 0.05  # 1 - correlation that is always allowed; ridges with a period of 15 px exceed it if shifted by 1.5 px
 _USUAL, _MOST = 4.0, 0.2  # times the median over all points, which is allowed if it is more, and its upper bound
 _NOISE = 3.0  # times the loss of correlation by the noise of two images
-# Times the usual residual of a window: largest single residual, and residual of the whole, of a window to look into.
-_PEAK, _LARGE = 4.5, 2.0
+_PEAK = 4.5  # times the usual residual of windows: a larger single one stands out
 # Distance from where most samples of a window match, px and in its deviations, and share of samples that do not match:
 # beyond these, something else holds the point.
 _HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
@@ -133,7 +132,7 @@ class Verification:
         known = np.sort(whole[np.isfinite(whole)])
         if len(known):
             usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
-            standing = np.flatnonzero((np.abs(residual).max(1) > _PEAK * usual) | (whole > _LARGE * usual))
+            standing = np.flatnonzero(np.abs(residual).max(1) > _PEAK * usual)
             if len(standing):
                 some = (number[standing], places[standing], warp[standing])
                 sample = partial(self._sampled, images)

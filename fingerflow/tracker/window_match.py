@@ -21,7 +21,7 @@ _LEAST_VARIANCE = 1e-12
 _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
 _FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
-_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 3, 5  # samplings of the windows, and reweightings after each
+_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 2, 4  # samplings of the windows, and reweightings after each
 _TUKEY, _MAD = 4.685, 1.4826  # deviations beyond which a sample has no weight; deviation over the median of |residual|
 _EXCLUDED = 0.05  # weight of a sample below which it counts as excluded
 
