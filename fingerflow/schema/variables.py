@@ -47,12 +47,15 @@ _STRAIN_EQUATION = (
 _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
 
-def _gross_area_std(semi_axes: Any) -> Any:
+def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross areas of ellipses with semi-axes (frames, 2) mm.
 
-    The constants are measured on presses through real prints (docs/methods/contact.md).
+    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one. The
+    constants are measured on presses through real prints (docs/methods/contact.md).
     """
-    return ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2) ** 0.5
+    deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2) ** 0.5
+    deviation[(deviation != deviation) & (real_area > 0)] = 0.2
+    return deviation
 
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
@@ -114,8 +117,9 @@ CONTACT = (
     Variable(
         "gross_contact_area_std", FRAME, "mm2", "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c², p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, b = 0.015 mm of the border as "
-        "a whole, c = 0.15 mm², about the square of a ridge spacing",
-        formula=_gross_area_std, of=("ellipse_semi_axes",),
+        "a whole, c = 0.15 mm², about the square of a ridge spacing; 0.2 mm² where a real contact is too small for an "
+        "ellipse",
+        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area",
     ),
     Variable(

@@ -181,7 +181,10 @@ class StrainStage(Stage):
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
-        nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
+        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+        nothing = gross == 0
+        gauge, first_frame = self.inputs.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_unknown_energy(self._energy, gross, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,
             "strain_energy_std": self._energy_std,

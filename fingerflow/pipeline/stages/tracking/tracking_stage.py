@@ -27,6 +27,7 @@ from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
+_FEWEST = 3  # points of a gradient
 MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
 
 
@@ -171,15 +172,20 @@ class TrackingStage(Stage):
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
-        where = self._seeding_region()
-        points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
-        if len(points) < 3:
+        where, asked = self._seeding_region(), self._settings.points
+        points = self._engine.detect(self._view_for_seeding(image), where, asked)
+        if len(points) < _FEWEST:
+            # The largest contact may be a later one, at another place than the skin in this frame.
+            self._region = self.trial.stage(ContactStage).touched()[0, 0].cpu().numpy()
+            where = self._seeding_region()
+            points = self._engine.detect(self._view_for_seeding(image), where, asked)
+        if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
-                f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
+                f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and its "
                 f"region, [stream] region, the calibration and the focus."
             )
-        asked, apart = self._settings.points, self._settings.min_distance_px
+        apart = self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
         self._create(len(points))
         self._density = len(points) / float(where.sum())
