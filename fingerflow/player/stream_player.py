@@ -387,7 +387,8 @@ class Player:
             fields["slip_flag"][place] = self._tracker.slipping
         else:
             self._layout.fill(fields, place, results)
-            self._findings.count(outcome.tracked, results["real_contact_area"])
+            named = ("real_contact_area", "gross_contact_area", "median_divergence")
+            self._findings.count(outcome.tracked, *(float(results[name]) for name in named))
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),

@@ -28,9 +28,9 @@ PAGE = "page"  # cause of a reseeding that the user has requested
 _REKEY_SHARE = 0.8
 # Frames after which the threshold is learnt from a frame: by then its contact has been computed beside the next frames.
 _LEARNT_AFTER = 2
-_LOOK_EVERY = 4  # frames between two counts of the points in contact
+_LOOK_EVERY = 2  # frames between two counts of the points in contact
 _LEAST_MM2 = 1.0  # of a contact whose points are counted
-# Spacing of points in gauge lengths: with a larger one a fit has hardly a neighbour; that with which points are seeded.
+# Spacing of points in gauge lengths: the largest with which fits have neighbours, and that with which points are seeded.
 _SPARSE, _DENSE = 1 / 3, 1 / 4
 _EVERYTHING = 0.98  # share of the pixels: a threshold that this many exceed is rejected
 _PIXELS = 20_000  # read to estimate this share
@@ -523,7 +523,8 @@ class StreamTracker:
             return None
         covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
         points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
-        if points * (_SPARSE * gauge) ** 2 >= area:
+        # Nor are other points chosen where all of them would be too few.
+        if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
         wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi  # product of the semi-axes, px
         major, minor = (float(one) for one in contact.semi_axes[0])

@@ -183,7 +183,7 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
 
 def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
     """Specks rest while the skin moves by 3 px. A point beside a speck that is 0.6 px back is held; of one that is 0.2 px
-    back the shift is in the variance. Of the others, whose windows contain specks too, one in fifty may be lost: here
+    back the shift is in the variance. Of the others, whose windows contain specks too, one in twenty may be lost: here
     points lie on a grid, and the skin hardly changes along some ridges."""
     engine = make_engine(SETTINGS)
     then, now = points(UNMOVED, (3.0, 0.0))
@@ -204,7 +204,7 @@ def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make
 
     far, near = check(0.6), check(0.2)
     assert far.held[some].mean() > 0.9
-    assert far.held[~some].mean() < 0.02
+    assert far.held[~some].mean() < 0.05
     assert not near.held[some].any()
     assert 0.1 < float(np.sqrt(2 * near.variance[some].mean())) < 0.3
 

@@ -7,6 +7,7 @@ from fingerflow.kernels.field_limits import LEAST_SHARE
 
 _NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # width of a view of skin: from a few ridges to a hand
 _FEW_RIDGES_MM2 = 1.0
+_IMPULSES = 5e-4  # share of the pixels; with twice as many 0.3 % of the positions are off by four deviations
 _JUMP = 0.25  # share of the view's area: no contact grows by as much from one frame to the next
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points, below which a warning is given
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
@@ -285,15 +286,25 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
     ]
 
 
+def of_impulses(share: float) -> list[str]:
+    """Return a warning if a `share` of the pixels of the topography view is far from all pixels around."""
+    if share <= _IMPULSES:
+        return []
+    return [
+        f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points are "
+        f"lost, and positions of the others may be off by more than stated. Is the sensor defective, or the file damaged?"
+    ]
+
+
 def of_dust(share: Series, first_frame: int) -> list[str]:
     """Return a warning if something that rests on the glass holds points back; `share` (frames,) is that of them."""
     some = np.flatnonzero(share > 0)
     if not len(some):
         return []
     return [
-        f"something rests on the glass while the skin moves, as dust does: it held back up to {np.max(share[some]):.1%} "
-        f"of the points, in {len(some)} frames, the first is {some[0] + first_frame}. Their positions are NaN there "
-        f"(status dust_in_window). Clean the glass"
+        f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up to "
+        f"{np.max(share[some]):.1%} of the points were held back, in {len(some)} frames, the first is "
+        f"{some[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
     ]
 
 

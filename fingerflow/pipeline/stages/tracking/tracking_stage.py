@@ -27,6 +27,7 @@ from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
+_IMPULSE, _BEYOND_NOISE = 0.2, 8.0  # of the range, and standard deviations of noise, by which a pixel stands out
 _FEWEST = 3  # points of a gradient
 MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
 
@@ -187,12 +188,19 @@ class TrackingStage(Stage):
             )
         apart = self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
+        self.warnings.extend(plausibility.of_impulses(self._impulses(image)))
         self._create(len(points))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
         return self._start_tracking(image, points, np.zeros(0, np.intp))
+
+    def _impulses(self, image: Images) -> float:
+        """Return the share of pixels of a frame that differ from their neighbours as neither texture nor noise does."""
+        pixels = np.asarray(image, dtype=np.float32)[0, 0]
+        apart = np.abs(pixels - cv2.medianBlur(pixels, 3))
+        return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))).mean())
 
     def _start_tracking(
         self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
