@@ -62,7 +62,7 @@ class Findings:
         if self._unknown:
             said.append(
                 f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
-                f"{_WIDE_MM2:g} mm2: points are known in too little of it. Seed them where the finger touches ([stream] "
-                f"region), or export a bundle with more tracking.points; status says why points are lost"
+                f"{_WIDE_MM2:g} mm2: points are known in too little of it. Seed them where the finger touches "
+                f"([stream] region), or export a bundle with more tracking.points; status says why points are lost"
             )
         return said

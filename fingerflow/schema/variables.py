@@ -50,8 +50,8 @@ _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of leas
 def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross areas of ellipses with semi-axes (frames, 2) mm.
 
-    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one. The
-    constants are measured on presses through real prints (docs/methods/contact.md).
+    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one.
+    The constants are measured on presses through real prints (docs/methods/contact.md).
     """
     deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2) ** 0.5
     deviation[(deviation != deviation) & (real_area > 0)] = 0.2

@@ -116,7 +116,7 @@ class FrameResults:
         return result
 
     def _covariance(self, now: Array, touch: Touching) -> Array:
-        """Return the covariance (1, N, 2, 2) mm^2 of displacements since the onset, for the variance `now` (1, N) px^2."""
+        """Return the covariance (1, N, 2, 2) mm^2 of displacements since the onset, from that of positions, px^2."""
         variance = touch.displacement_variance(now) * np.float32(self._per_px**2)
         result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
         return result
@@ -124,7 +124,7 @@ class FrameResults:
     def _smoothing_variance(
         self, place: Array, moved: Array, around: FrameEllipse, median: float, of_points: float
     ) -> float:
-        """Return the variance of the median divergence by gauge length and border (`pipeline.stages.fields.MedianBias`).
+        """Return the variance of the median divergence by gauge length and border, as `MedianBias` of a recording.
 
         In a space of half the size the gauge length counts twice.
         """

@@ -30,7 +30,7 @@ _REKEY_SHARE = 0.8
 _LEARNT_AFTER = 2
 _LOOK_EVERY = 2  # frames between two counts of the points in contact
 _LEAST_MM2 = 1.0  # of a contact whose points are counted
-# Spacing of points in gauge lengths: the largest with which fits have neighbours, and that with which points are seeded.
+# Spacing of points in gauge lengths: the largest with which fits have neighbours, and that of seeded points.
 _SPARSE, _DENSE = 1 / 3, 1 / 4
 _EVERYTHING = 0.98  # share of the pixels: a threshold that this many exceed is rejected
 _PIXELS = 20_000  # read to estimate this share
@@ -145,8 +145,8 @@ class _KnownMotion(NamedTuple):
 class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
-    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New points
-    are seeded in `region` (H, W), and count if they are more than `kept`.
+    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
+    points are seeded in `region` (H, W), and count if they are more than `kept`.
     """
 
     after: int
@@ -168,8 +168,9 @@ class _Sparse(NamedTuple):
 class _PendingContact(NamedTuple):
     """Frame whose contact has not been taken into account yet: its threshold, and how many points lie in it.
 
-    `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong. `newest` is the index of the latest frame when this was decided.
-    The number of the frame is stored, because a `Frame` with results is reused for another image.
+    `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
+    `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
+    `Frame` with results is reused for another image.
     """
 
     newest: int

@@ -441,9 +441,9 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Reject points whose window differs from the window in the key frame, or holds them back; return all points.
+        """Reject points whose window differs from that in the key frame, or holds them back; return all points.
 
-        Covariances count from the key frame. Points that fail are NaN, with the status WINDOW_DIFFERS or DUST_IN_WINDOW.
+        Covariances count from the key frame. Points that fail are NaN, with status WINDOW_DIFFERS or DUST_IN_WINDOW.
         """
         check = self._verification.check
         if self._knowledge.ahead:

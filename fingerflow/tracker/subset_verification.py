@@ -42,7 +42,8 @@ class Verified(NamedTuple):
     @classmethod
     def none(cls, points: int) -> Self:
         """Return the result of points that all follow their skin."""
-        return cls(*np.zeros((2, points), dtype=bool), np.zeros(points, np.float32))
+        nothing = np.zeros(points, dtype=bool)
+        return cls(nothing, nothing, np.zeros(points, np.float32))
 
 
 class Verification:

@@ -116,14 +116,12 @@ def shifted_alike(
     """
     count = len(first)
     beside = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
-    around = yield from sample(
-        np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1))
-    )
+    around = yield from sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
     right, left, below, above = around.reshape(4, count, -1)
     slopes = ((right - left) / (2 * _BESIDE), (below - above) / (2 * _BESIDE))
     unknown = np.stack((*slopes, -first, -np.ones_like(first)), axis=-1).astype(np.float64)
     shift, weight = np.zeros((count, 2)), np.ones(first.shape)
-    known = np.isfinite(unknown).all((1, 2))
+    known: Array = np.isfinite(unknown).all((1, 2))
     unknown[~known] = 0
     for _ in range(_SHIFT_ROUNDS):
         here = yield from sample(number, places + shift.astype(np.float32), warp)

@@ -182,16 +182,16 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
 
 
 def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
-    """Specks rest while the skin moves by 3 px. A point beside a speck that is 0.6 px back is held; of one that is 0.2 px
-    back the shift is in the variance. Of the others, whose windows contain specks too, one in twenty may be lost: here
-    points lie on a grid, and the skin hardly changes along some ridges."""
+    """Specks rest while the skin moves by 3 px. A point beside a speck that is 0.6 px back is held; of one that is
+    0.2 px back the shift is in the variance. Of the others, whose windows contain specks too, one in twenty may be
+    lost: here points lie on a grid, and the skin hardly changes along some ridges."""
     engine = make_engine(SETTINGS)
     then, now = points(UNMOVED, (3.0, 0.0))
     some = np.arange(len(then)) % 23 == 11
     x, y = np.meshgrid(np.arange(200.0), np.arange(160.0))
     light = np.ones_like(x)
     for right, down in then[some] + (4.0, 3.0):
-        light *= 1 - 0.6 * np.exp(-(((x - right) ** 2 + (y - down) ** 2) / 2.0**2) ** 2)
+        light *= 1 - 0.6 * np.exp(-((((x - right) ** 2 + (y - down) ** 2) / 2.0**2) ** 2))
     first, after = (
         engine.images((picture(UNMOVED, (shift, 0.0), 2.0, seed) * light).astype(np.float32))
         for shift, seed in ((0.0, 1), (3.0, 2))

@@ -292,7 +292,7 @@ def of_impulses(share: float) -> list[str]:
         return []
     return [
         f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points are "
-        f"lost, and positions of the others may be off by more than stated. Is the sensor defective, or the file damaged?"
+        f"lost, and positions of others may be off by more than stated. Is the sensor defective, or the file damaged?"
     ]
 
 
@@ -321,7 +321,7 @@ def of_unknown_fields(median: Series, known: Series, gross: Series, gauge_mm: fl
     share = float(np.nan_to_num(known[frame]))
     return [
         f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
-        f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, and {LEAST_SHARE:.0%} are needed "
+        f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are needed "
         f"(field_coverage). The other points are lost (status says why), or none were seeded there: see "
         f"[views.topography] and its region, [stream] region, tracking.points and fields.gauge_length_mm"
     ]

@@ -183,8 +183,8 @@ class TrackingStage(Stage):
         if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
-                f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and its "
-                f"region, [stream] region, the calibration and the focus."
+                f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
+                f"its region, [stream] region, the calibration and the focus."
             )
         apart = self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
