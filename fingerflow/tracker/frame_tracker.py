@@ -497,8 +497,9 @@ class StreamTracker:
 
     def _learn_contact(self, one: _PendingContact) -> list[Event]:
         if one.found is not None and one.seeding is self._seeding and one.work.index % _LOOK_EVERY == 0:
-            self._sparse = self._sparse_contact(one.work, one.found)
-            self._upkeep.see_contact(self._sparse is not None)
+            touching = float(self._contact_of(one.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(one.work, one.found) if touching else None
+            self._upkeep.see_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
         measured = one.work.measured
@@ -520,8 +521,6 @@ class StreamTracker:
         contact, size = self._contact_of(work), self._settings.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
-        if not area >= _LEAST_MM2:
-            return None
         covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
         points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
         # Nor are other points chosen where all of them would be too few.

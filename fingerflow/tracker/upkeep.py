@@ -81,12 +81,12 @@ class Upkeep:
     _IN_A_ROW = 4  # a single frame may be blurred or dark
     _RESTART = 64  # frames between two seedings, each of which takes as long as ten frames
     _LOOKS = 2  # contacts with too few points, one after the other
+    _YOUNG = 16  # looks at a contact, until which points are seeded where it lies: then skin has deformed already
 
     def __init__(self, share: float, frames: float) -> None:
         self._share, self._frames = share, frames
         self.key_frame = 0
-        self._found = self._keyed = self._few = self._lost = self._tried = self._sparse = 0
-        self._moved = -self._RESTART  # frame of the last seeding where the contact lay
+        self._found = self._keyed = self._few = self._lost = self._tried = self._sparse = self._looks = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
         """Record a reseeding before frame `index`, which found `found` points in frame number `key_frame`."""
@@ -101,9 +101,10 @@ class Upkeep:
         """Record that the current points were kept at frame `index`: reseeding would not have given more."""
         self._tried = index
 
-    def see_contact(self, sparse: bool) -> None:
-        """Add a contact, and whether it has too few tracked points."""
-        self._sparse = self._sparse + 1 if sparse else 0
+    def see_contact(self, touching: bool, sparse: bool) -> None:
+        """Add a look at the contact: whether there is one, and whether it has too few tracked points."""
+        self._looks = self._looks + 1 if touching else 0
+        self._sparse = self._sparse + 1 if sparse and self._looks <= self._YOUNG else 0
 
     def see(self, index: int, number: int, tracked: int) -> str:
         """Add a frame with a number of tracked points; return the cause of a change, "" for none.
@@ -114,8 +115,8 @@ class Upkeep:
         self._few = self._few + 1 if tracked < self._share * self._keyed else 0
         if self._lost >= self._IN_A_ROW and index - self._tried >= self._RESTART:
             return "lost"
-        if self._sparse >= self._LOOKS and index - self._moved >= self._RESTART:
-            self._moved, self._sparse = index, 0
+        if self._sparse >= self._LOOKS:
+            self._sparse, self._looks = 0, self._YOUNG
             return CONTACT
         if tracked and (self._few >= self._IN_A_ROW or number - self.key_frame >= self._frames):
             return REKEY
