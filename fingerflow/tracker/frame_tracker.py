@@ -146,7 +146,7 @@ class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
-    points are seeded in `region` (H, W), and count if they are more than `kept`.
+    points are seeded in `region` (H, W), and replace others if more than `kept` of them lie in `counted` (H, W).
     """
 
     after: int
@@ -155,13 +155,15 @@ class _Change(NamedTuple):
     points: Array
     cause: str
     region: Array
+    counted: Array
     kept: int
 
 
 class _Sparse(NamedTuple):
-    """Contact with too few tracked points: their number, and the region (H, W) in which others are to be seeded."""
+    """Contact with too few tracked points: their number, the contact (H, W), and where others are to be seeded."""
 
     points: int
+    contact: Array
     region: Array
 
 
@@ -398,7 +400,8 @@ class StreamTracker:
     def _reseed(self, change: _Change) -> list[Event]:
         """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
         points = self._seed(change.image, change.region)
-        if known_of(points).sum() > change.kept:
+        column, row = np.rint(points[known_of(points)]).astype(int).T
+        if change.counted[row, column].sum() > change.kept:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
         self._upkeep.kept(self._begun)
         return []
@@ -461,10 +464,12 @@ class StreamTracker:
             if cause:
                 self._asked = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
-                kept, region = 0 if cause == PAGE else tracked, self._settings.region
+                region = counted = self._settings.region
+                kept = 0 if cause == PAGE else tracked
                 if cause == CONTACT and self._sparse is not None:
-                    kept, region = self._sparse
-                self._change = _Change(newest, frame.number, image, found.points[0].copy(), cause, region, kept)
+                    kept, counted, region = self._sparse
+                places = found.points[0].copy()
+                self._change = _Change(newest, frame.number, image, places, cause, region, counted, kept)
         return self._outcome(work, USABLE, found, tracked)
 
     def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
@@ -529,8 +534,10 @@ class StreamTracker:
         wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi  # product of the semi-axes, px
         major, minor = (float(one) for one in contact.semi_axes[0])
         more = (math.hypot(major - minor, 2 * math.sqrt(wanted)) - major - minor) / 2
-        axes = np.array([major, minor]) + max(more, self._engine.settings.window_px)
-        return _Sparse(points, self._settings.region & self._in_ellipse(contact, axes))
+        axes = np.array([major, minor])
+        wide = axes + max(more, self._engine.settings.window_px)
+        inside, around = (self._settings.region & self._in_ellipse(contact, one) for one in (axes, wide))
+        return _Sparse(points, inside, around)
 
     def _in_ellipse(self, contact: FrameContact, semi_axes: Array) -> Array:
         """Return the mask (H, W) of the topography view inside the ellipse of a contact with other semi-axes, px."""

@@ -391,7 +391,7 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
         "frame,time (s),latency (s),frame_status (1),key_frame (1),restart (1),contact_threshold (1),"
         "real_contact_area (mm2),gross_contact_area (mm2),ellipse_center_x (mm),ellipse_center_y (mm),"
         "ellipse_semi_axes_major (mm),ellipse_semi_axes_minor (mm),ellipse_angle (rad),illumination_gain (1),"
-        "median_divergence (1),slip_residual (mm),slip_flag (1)"
+        "median_divergence (1),median_divergence_std (1),slip_residual (mm),slip_flag (1)"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
