@@ -77,14 +77,15 @@ class Verification:
         self._centred = Centred.of(self._first)
         self._variance = self._first.var(1, ddof=1)
         self.latest = Verified.none(len(points))
+        self.correlation = np.full(len(points), np.nan, np.float32)
 
     def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Verified]:
         """Verify the points in several images, and return which points to reject in these images.
 
         Positions are (n, N, 2) px, images (n, 1, h, w). Each point is checked once, in the last image in which it is
         tracked. A point that fails there, or failed at the check before, may have left its skin in any of these images.
-        `latest` is the result of this check alone. `warp` (N, 2, 2) is the deformation gradient in the last image, NaN
-        where it is not known.
+        `latest` is the result of this check alone, `correlation` (N,) the correlation of each, NaN where unknown.
+        `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
         tracked = status == TrackStatus.TRACKED
@@ -113,6 +114,7 @@ class Verification:
         shift = yield from self._shifts(images, number, places, warp, Centred.of(now).part, noise)
         away = np.square(shift.shift).sum(1)
         held = (away > _HELD_PX**2) & (shift.deviations > _HELD_DEVIATIONS) & (shift.excluded > _HELD_SHARE)
+        self.correlation = (1 - apart).astype(np.float32)
         # A point that cannot be checked keeps its result.
         found = Verified(apart > limit, held, (away / 2).astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, found, strict=True)))
