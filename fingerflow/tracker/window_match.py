@@ -121,7 +121,7 @@ def shifted_alike(
     slopes = ((right - left) / (2 * _BESIDE), (below - above) / (2 * _BESIDE))
     unknown = np.stack((*slopes, -first, -np.ones_like(first)), axis=-1).astype(np.float64)
     shift, weight = np.zeros((count, 2)), np.ones(first.shape)
-    known: Array = np.isfinite(unknown).all((1, 2))
+    known: Array = np.asarray(np.isfinite(unknown).all((1, 2)))
     unknown[~known] = 0
     for _ in range(_SHIFT_ROUNDS):
         here = yield from sample(number, places + shift.astype(np.float32), warp)

@@ -170,7 +170,9 @@ class ContactStage(Stage):
 
     def _sampled_frames(self) -> NDArray[np.intp]:
         usable = np.flatnonzero(self._usable)
-        return usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
+        looks = np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int)
+        result: NDArray[np.intp] = usable[np.unique(looks)]
+        return result
 
     def first_and_largest(self, margin_px: int) -> Tensor:
         """Return the union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame, dilated.
