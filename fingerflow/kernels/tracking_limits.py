@@ -22,6 +22,7 @@ class TrackStatus(IntEnum):
     FRAME_NOT_USABLE = 9  # the frame is not usable (`pipeline.stages.preparation.frame_check`)
     WINDOW_DIFFERS = 10  # its window is no longer the one that was seeded (`tracker.subset_verification`)
     NOT_SEEDED_YET = 11  # seeded in a later frame, as skin came into contact there (`pipeline.stages.tracking`)
+    DUST_IN_WINDOW = 12  # held back by something in its window that rests on the glass (`tracker.subset_verification`)
 
 
 class Number(IntEnum):

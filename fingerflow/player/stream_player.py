@@ -440,7 +440,8 @@ class Player:
             fields["slip_flag"][place] = self._tracker.slipping
         else:
             self._layout.fill(fields, place, results)
-            self._findings.count(outcome.tracked, results["real_contact_area"])
+            named = ("real_contact_area", "gross_contact_area", "median_divergence")
+            self._findings.count(outcome.tracked, *(float(results[name]) for name in named))
         if self._forces is not None:
             for name, force in self._forces.at(slot.number, slot.arrival).items():
                 fields[name][place] = force

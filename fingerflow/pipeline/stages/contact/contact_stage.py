@@ -163,6 +163,17 @@ class ContactStage(Stage):
         largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
+    def touched(self) -> Tensor:
+        """Return the union (1, 1, h, w) of the gross contacts in frames sampled from the whole recording."""
+        regions = [self._region_of(int(frame)) for frame in self._sampled_frames()]
+        return torch.stack(regions).any(0)
+
+    def _sampled_frames(self) -> NDArray[np.intp]:
+        usable = np.flatnonzero(self._usable)
+        looks = np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int)
+        result: NDArray[np.intp] = usable[np.unique(looks)]
+        return result
+
     def first_and_largest(self, margin_px: int) -> Tensor:
         """Return the union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame, dilated.
 
@@ -239,8 +250,7 @@ class ContactStage(Stage):
             known = np.where(self._usable, normal_force, np.nan)
             if np.isfinite(known).any():
                 return int(np.nanargmax(known))
-        usable = np.flatnonzero(self._usable)
-        looks = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
+        usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
         light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
         if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
             light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)

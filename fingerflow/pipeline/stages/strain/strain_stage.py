@@ -77,7 +77,8 @@ class StrainStage(Stage):
             self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
         corners = torch.from_numpy(skin.corners).long()
-        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].numpy()
+        # A triangle with a corner that was lost when it touched has no area, and no strain.
+        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].nan_to_num(0.0).numpy()
         self._corners = corners.to(device)
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
@@ -183,7 +184,10 @@ class StrainStage(Stage):
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
-        nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
+        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+        nothing = gross == 0
+        gauge, first_frame = self.inputs.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_unknown_energy(self._energy, gross, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,
             "strain_energy_std": self._energy_std,
