@@ -1,4 +1,4 @@
-"""Errors of dense flow at motion edges and under dust: quadratic and robust penalties, and other libraries.
+"""Errors of dense flow at motion edges and under dust: the models of `dense_flow`, and other libraries.
 
 Ridges and whorl of the suite `flow`, 320 x 400 px, 8 bit, noise of 2 grey levels. `jump`: inside an ellipse skin is
 stuck, outside it slips by 0.5 or 1.5 px along x; what then hides behind the ellipse is left out. `dust`: 300 specks of
@@ -8,7 +8,7 @@ RMS error of the divergence (sigma 8 px) beyond, in 1e-3; 24 px at the border of
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from bench.rows import Row
 from bench.skin import grey, photograph
 from bench.suites.flow import NOISE, divergence, inner, opencv, pair, ridges
 from fingerflow.ops.flow.dense_flow import dense_flow
+from fingerflow.ops.flow.flow_penalty import FlowModel
 from fingerflow.synthetic import texture_image
 
 Scene = tuple[Tensor, Tensor, Tensor, Tensor]  # two images, the truth, NaN where there is none, and what is near
@@ -60,9 +61,7 @@ def _found(first: Tensor, current: Tensor) -> dict[str, Tensor]:
     peers = opencv(first[0, 0].numpy(), current[0, 0].numpy())
     return {
         **{name: way() for name, way in peers.items()},
-        "fingerflow, quadratic": ours(),
-        "fingerflow, charbonnier": ours(penalty="charbonnier"),
-        "fingerflow, gradient, charbonnier": ours(penalty="charbonnier", constancy="gradient"),
+        **{f"fingerflow, {model}": ours(model=model) for model in get_args(FlowModel)},
     }
 
 
