@@ -1,6 +1,6 @@
 // build: each instruction set, fused
 // Positions corrected for the deformation of the skin (fingerflow/ops/tracking/deformation.py). Local linear fits to
-// the displacements, over the gauge length and over kInnerGauge of it, give the warp F = I + grad u at each point, a fit
+// the displacements, over the gauge length and, less what its gradient makes lean, over kInnerGauge of it, give the warp F = I + grad u at each point, a fit
 // to these gradients gives u's second derivatives; their effect on a template's position is subtracted.
 // E = F F_0^-1 - I, with F_0 the warp of the template. Position: x - lean E - (area - 1) / 24 laplacian u. Noise of the
 // fit: max(noise - e' Q e / freedom, min(noise, template noise)), which scales the covariance. With the extrapolation e
@@ -28,6 +28,8 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
+inline float known_or_zero(float value) { return value - value == 0.0f ? value : 0.0f; }
+
 constexpr int kMany = kFitBlock;
 constexpr float kTiny = 1e-20f;
 // What a fit flattens is proportional to its gauge squared: E(0) - E(inner) = kBeyond (E(inner) - E(outer)).
@@ -50,7 +52,6 @@ struct Columns {
     }
 };
 
-inline float known_or_zero(float value) { return value - value == 0.0f ? value : 0.0f; }
 // NaN where either is NaN.
 inline float lesser(float a, float b) { return a < b || a != a ? a : b; }
 inline float greater(float a, float b) { return a > b || a != a ? a : b; }
@@ -160,6 +161,8 @@ FINGERFLOW_OTHER_SETS(correct_block)
 FINGERFLOW_OTHER_SETS(extrapolate)
 namespace {
 
+using baseline::known_or_zero;
+
 // A local linear fit of `components` values at the points themselves, in all frames.
 class SelfFit {
 public:
@@ -194,6 +197,7 @@ public:
         : given_(given),
           cloud_(given.start, given.points, given.start, given.points),
           displacement_(given, 2),
+          unleaned_(given, 2),
           gradient_(given, 4),
           second_(size(8 * given.frames * given.points)),
           beyond_(size(4 * given.frames * given.points)) {
@@ -209,11 +213,16 @@ public:
             displacement_.record(frame, [&](std::int64_t k, std::int64_t c) { return found[2 * k + c] - given_.start[2 * k + c]; });
         });
         const FitFrames<float> outer = displacement_.fit(1, given_.expected, beyond_.data());
-        const FitFrames<float> inner = displacement_.fit(kInnerGauge, nullptr, given_.warp);
-        parallel_for(blocks, threads, [&](std::int64_t block) {
-            fit(outer, block);
-            fit(inner, block);
+        parallel_for(blocks, threads, [&](std::int64_t block) { fit(outer, block); });
+        parallel_for(frames, threads, [&](std::int64_t frame) {
+            const float* const found = given_.found + 2 * frame * given_.points;
+            const float* const gradient = beyond_.data() + 4 * frame * given_.points;
+            unleaned_.record(frame, [&](std::int64_t k, std::int64_t c) {
+                return found[2 * k + c] - given_.start[2 * k + c] - leaning(k, c, gradient + 4 * k);
+            });
         });
+        const FitFrames<float> inner = unleaned_.fit(kInnerGauge, nullptr, given_.warp);
+        parallel_for(blocks, threads, [&](std::int64_t block) { fit(inner, block); });
         for (const std::int64_t point : nowhere_) forget(point);
         const auto extrapolate = FINGERFLOW_PICK(extrapolate);
         parallel_for(frames, threads, [&](std::int64_t frame) {
@@ -235,6 +244,16 @@ public:
     }
 
 private:
+    // Component c of what a displacement gradient adds to the position of point k.
+    float leaning(std::int64_t k, std::int64_t c, const float* gradient) const {
+        const float* const inverse = given_.inverse_warp + 4 * k;
+        const float* const lean = given_.numbers + k * kNumbers + kLean + 4 * c;
+        const float xx = 1 + known_or_zero(gradient[0]), xy = known_or_zero(gradient[1]);
+        const float yx = known_or_zero(gradient[2]), yy = 1 + known_or_zero(gradient[3]);
+        return lean[0] * (xx * inverse[0] + xy * inverse[2] - 1) + lean[1] * (xx * inverse[1] + xy * inverse[3]) +
+               lean[2] * (yx * inverse[0] + yy * inverse[2]) + lean[3] * (yx * inverse[1] + yy * inverse[3] - 1);
+    }
+
     FitBlock<float> fit(const FitFrames<float>& frames, std::int64_t number) {
         const std::int64_t points = given_.points;
         const auto memory = static_cast<unsigned char*>(workspace(size(8 * points + 4 * (2 * points + fit_memory(frames)))));
@@ -258,7 +277,7 @@ private:
 
     const fingerflow_deformation given_;
     const Cloud<float> cloud_;
-    SelfFit displacement_, gradient_;
+    SelfFit displacement_, unleaned_, gradient_;
     std::vector<float> second_, beyond_;
     std::vector<std::int64_t> nowhere_;
 };

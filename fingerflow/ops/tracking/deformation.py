@@ -4,6 +4,7 @@ That deformation is E = F F_0^-1 - I. F = I + du/dX is estimated by local fits i
 with F_0. A fit flattens a wave of the gradient in proportion to the square of its gauge length. The difference between
 fits over the gauge length and over half of it (`INNER_GAUGE`) thus gives what the latter still lacks, a third of that
 difference (Richardson's extrapolation). It is added to the gradient, and its effect on the position to the covariance.
+Fits over half of the gauge length have few points: what the gradient over all of it makes lean is subtracted before.
 
 To first order E displaces the tracked point by D E, where D depends on the template (`Number.LEAN`).
 Displacement that varies within a window beyond F adds a second bias: with u(p + w) = u + F w + w'Hw / 2, the mean of
@@ -76,19 +77,28 @@ def correct_points(
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
     supports = supports or supports_of(start, gauge_px)
-    expected, gradient, beyond = _gradients(start, points - start, gauge_px, supports)
-    # From here on components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
-    bulge = _bulge(start, gradient, window, gauge_px, supports.outer)
+    # Components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
-    warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
-    matrices = (one.unflatten(1, (2, 2)) for one in (warp, inverse_warp.flatten(2).mT.contiguous()))
-    unknown = products(*matrices).flatten(1, 2) - identity
-    of = numbers.mT.contiguous()
+    inverse, of = inverse_warp.flatten(2).mT.contiguous().unflatten(1, (2, 2)), numbers.mT.contiguous()
     lean = of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4))
-    leaning = sum_rows(lean * unknown[:, None]).squeeze(2)
-    off = sum_rows(lean * beyond.flatten(2).mT[:, None]).squeeze(2).mT
+
+    def leaning(deformation: Tensor) -> Tensor:
+        return sum_rows(lean * deformation[:, None]).squeeze(2).mT
+
+    def warp_and_unknown(gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """Return F and E (K, 4, N) for displacement gradients (K, N, 2, 2)."""
+        warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
+        return warp, products(warp.unflatten(1, (2, 2)), inverse).flatten(1, 2) - identity
+
+    moved = points - start
+    expected, outer = neighbour_planes(start, moved, gauge_px, supports.outer)
+    moved = moved - leaning(warp_and_unknown(outer)[1])
+    gradient, beyond = _extrapolated(start, moved, outer, gauge_px, supports)
+    bulge = _bulge(start, gradient, window, gauge_px, supports.outer)
+    warp, unknown = warp_and_unknown(gradient)
+    off = leaning(beyond.flatten(2).mT)
     return CorrectedPoints(
-        points - (leaning + bulge).mT,
+        points - leaning(unknown) - bulge.mT,
         _without_deformation_residual(covariance, of, unknown, window) + off[..., None] * off[..., None, :],
         warp.mT.unflatten(2, (2, 2)),
         window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt(),
@@ -103,7 +113,8 @@ def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: flo
     show: the mean displacement over each of them. It is 0 where the neighbours do not determine it.
     """
     supports = supports_of(start, gauge_px)
-    _, gradient, _ = _gradients(start, displacement, gauge_px, supports)
+    _, outer = neighbour_planes(start, displacement, gauge_px, supports.outer)
+    gradient, _ = _extrapolated(start, displacement, outer, gauge_px, supports)
     return _bulge(start, gradient, window, gauge_px, supports.outer).mT
 
 
@@ -112,18 +123,17 @@ def supports_of(start: Tensor, gauge_px: float) -> Supports:
     return Supports(neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px))
 
 
-def _gradients(
-    start: Tensor, displacement: Tensor, gauge_px: float, supports: Supports
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return displacements (K, N, 2) predicted from the neighbours, extrapolated gradients, and the extrapolation's step.
+def _extrapolated(
+    start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, supports: Supports
+) -> tuple[Tensor, Tensor]:
+    """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge of 0, and the step of the extrapolation.
 
-    Gradients and steps are (K, N, 2, 2). Where either gauge determines no gradient, that of the outer one is taken.
+    `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
     """
-    expected, outer = neighbour_planes(start, displacement, gauge_px, supports.outer)
     _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, supports.inner)
     known = finite(inner - outer)
     beyond = torch.where(known, _BEYOND * (inner - outer), 0.0)
-    return expected, torch.where(known, inner, outer) + beyond, beyond
+    return torch.where(known, inner, outer) + beyond, beyond
 
 
 def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:
