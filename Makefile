@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all lint docs bench format clean
+.PHONY: demo test test-all lint docs bench wheel format clean
 
 demo: $(VENV)/installed
 	$(BIN)/fingerflow demo
@@ -28,6 +28,14 @@ lint: $(VENV)/installed-dev
 docs: $(VENV)/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d docs/site/.doctrees docs docs/site
 	@echo "open docs/site/index.html"
+
+# Builds the wheel of this platform, installs it into an empty environment and checks its kernels there.
+wheel: $(BIN)/python
+	rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist .
+	$(BIN)/python -m venv dist/empty
+	dist/empty/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt dist/*.whl
+	cd dist && empty/bin/fingerflow --version && empty/bin/python ../tests/kernels/wheel_check.py
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python -m bench

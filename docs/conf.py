@@ -6,6 +6,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "build_tools"), str(HERE.parent)]
 
+from gallery_folder import copy_scripts  # noqa: E402
+
 from fingerflow import __version__  # noqa: E402
 
 project = "fingerflow"
@@ -16,12 +18,13 @@ version = release = __version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "myst_nb",
-    "mathml",  # these three are of build_tools
+    "myst_parser",
+    "sphinx_gallery.gen_gallery",
+    "mathml",  # these three, and `gallery_folder`, are of build_tools
     "plain_docstrings",
     "generated_pages",
 ]
-exclude_patterns = [".jupyter_cache", "site", "build_tools", "jupyter_execute"]
+exclude_patterns = ["site", "build_tools", "gallery", "release", "generated/scripts"]
 
 # Docstrings are plain text in which `this` is code.
 default_role = "code"
@@ -34,13 +37,20 @@ autodoc_typehints = "signature"
 autodoc_default_options = {"members": True}
 python_use_unqualified_type_names = True
 
-myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
-nb_execution_mode = "cache"  # a notebook is run again when its cells have changed
-nb_execution_in_temp = True
-nb_execution_timeout = 600
-nb_execution_raise_on_error = True
-nb_execution_show_tb = True
+sphinx_gallery_conf = {
+    "examples_dirs": copy_scripts(),
+    "gallery_dirs": "generated/gallery",  # a script is run again when it has changed
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "capture_repr": (),
+    "remove_config_comments": True,
+    "show_memory": False,
+    "write_computation_times": False,
+    "reset_modules": ("gallery_folder.remove_recordings",),
+    "reset_modules_order": "both",
+}
 
 html_theme = "furo"
 html_static_path = ["static"]

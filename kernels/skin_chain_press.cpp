@@ -22,8 +22,7 @@ inline T Press<T>::unbalanced(Pair<T> load) {
         left_over.at[i].x = left_over.at[i].x - rubbed[i];
         sum = sum + magnitude(left_over.at[i].x) + magnitude(left_over.at[i].z);
     }
-    const T none = all<T>(0);
-    left_over.bone = {held_x ? none : left_over.bone.x + load.x, held_z ? none : left_over.bone.z + load.z};
+    left_over.bone = left_over.bone + load;
     return sum + magnitude(left_over.bone.x) + magnitude(left_over.bone.z);
 }
 
@@ -47,10 +46,9 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         live[lane] = first + lane < given.batch && lane < chains;
     }
     const double duration = given.duration;
-    const Pair<T> rate = all<T>(1 / duration) * load_change;
     unbalanced(load_first);
     for (std::int64_t i = 0; i < count; ++i) start_speed.at[i] = (1.0 / damping) * left_over.at[i];
-    start_speed.bone = {held_x ? rate.x : left_over.bone.x / bone_damping, held_z ? rate.z : left_over.bone.z / bone_damping};
+    start_speed.bone = {left_over.bone.x / bone_damping, left_over.bone.z / bone_damping};
 
     for (std::int64_t attempt = 0; attempt < given.most_steps; ++attempt) {
         bool some = false;
@@ -82,7 +80,6 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
         }
         middle.bone = end.bone;
         middle_speed.bone = per_c * (end.bone - known.bone);
-        hold(middle_speed.bone, rate);
         // Second stage, to the end of the step.
         for (std::int64_t i = 0; i < count; ++i) {
             known.at[i] = all<T>(kLater) * middle.at[i] - all<T>(kEarlier) * start.at[i];
@@ -100,9 +97,7 @@ inline void Press<T>::run(std::int64_t first, std::int64_t chains) {
             left_over.at[i] = (damping * (kError * h)) * estimate(start_speed.at[i], middle_speed.at[i], guess.at[i]);
         }
         guess.bone = per_c * (end.bone - known.bone);
-        hold(guess.bone, rate);
         left_over.bone = (bone_damping * (kError * h)) * estimate(start_speed.bone, middle_speed.bone, guess.bone);
-        hold(left_over.bone, {all<T>(0), all<T>(0)});
         const T most = solved(left_over);
         Mask kept{};
         bool any_kept = false;

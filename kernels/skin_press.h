@@ -30,7 +30,6 @@ struct Press {
 
     const fingerflow_skin_chain& given;
     const std::int64_t count;
-    const bool held_x, held_z;
     // Parameters of the chain.
     Pair<T>* reference;
     T* mu;
@@ -46,7 +45,7 @@ struct Press {
     Pair<T> bone_gone;
     T c;
 
-    Press(const fingerflow_skin_chain& of, char* memory) : given(of), count(of.count), held_x(of.held_x), held_z(of.held_z) {
+    Press(const fingerflow_skin_chain& of, char* memory) : given(of), count(of.count) {
         const auto take = [&](auto& to) {
             to = reinterpret_cast<decltype(+to)>(memory);
             memory += static_cast<std::size_t>(count) * sizeof *to;
@@ -135,7 +134,6 @@ struct Press {
     T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole);
     template <class Gone>
     void substitute(Pair<T> by, Gone gone) const;
-    Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const;
     T solved(const Body<T>& side);
     void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on);
 
@@ -144,10 +142,6 @@ struct Press {
     void run(std::int64_t first, std::int64_t chains);
     static double quarters(double error);
 
-    void hold(Pair<T>& value, Pair<T> by) const {
-        if (held_x) value.x = by.x;
-        if (held_z) value.z = by.z;
-    }
     static void take(Mask where, Block<T>& to, Block<T> from) {
         if constexpr (kLanes == 1) to = from;
         else to = {pick(where, from.xx, to.xx), pick(where, from.xz, to.xz), pick(where, from.zx, to.zx), pick(where, from.zz, to.zz)};

@@ -95,7 +95,7 @@ inline T Press<T>::newton_step(const Body<T>& from, const T* before, Pair<T> loa
     on_bone = on_bone + held;
     const Pair<T> off = known.bone - end.bone;
     const Pair<T> side{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
-    bone_gone = bone_motion(of, side - bone, load - end.bone);
+    bone_gone = inverse(of) * (side - bone);
     T most = farthest(none, bone_gone);
     substitute(bone_gone, [&](std::int64_t i, Pair<T> moved) {
         most = farthest(most, moved);
@@ -125,16 +125,7 @@ inline void Press<T>::substitute(Pair<T> by, Gone gone) const {
     }
 }
 
-template <class T>
-inline Pair<T> Press<T>::bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const {
-    if (held_x && held_z) return motion;
-    if (held_x) return {motion.x, (side.z - of.zx * motion.x) / of.zz};
-    if (held_z) return {(side.x - of.xz * motion.z) / of.xx, motion.z};
-    return inverse(of) * side;
-}
-
-// Solves the last factored system for a right-hand side (in a held direction, the bone's motion) and returns the
-// greatest magnitude of the solution.
+// Solves the last factored system for a right-hand side and returns the greatest magnitude of the solution.
 template <class T>
 inline T Press<T>::solved(const Body<T>& side) {
     const std::int64_t centre = count / 2;
@@ -152,7 +143,7 @@ inline T Press<T>::solved(const Body<T>& side) {
         }
     }
     swept[centre] = undone[centre] * (side.at[centre] - joined * (swept[centre - 1] + swept[centre + 1]));
-    const Pair<T> by = bone_motion(bone_block, side.bone - (bone + to_bone[centre] * swept[centre]), side.bone);
+    const Pair<T> by = inverse(bone_block) * (side.bone - (bone + to_bone[centre] * swept[centre]));
     T most = farthest(none, by);
     substitute(by, [&](std::int64_t, Pair<T> moved) { most = farthest(most, moved); });
     return most;

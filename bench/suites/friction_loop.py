@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from bench.recordings import processed
 from bench.rows import Row
+from fingerflow.models.skin_onset import since_onset
 from fingerflow.report.chain_comparison import INNER
 from fingerflow.report.chain_comparison import inner_divergence as measured_inner
 from fingerflow.synthetic import ChainPress
@@ -42,7 +43,7 @@ def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arra
 
     The measured one is NaN where the contact is under 5 mm².
     """
-    chain = 1e3 * press.chain_at(press.chain_since_onset.mean_within(INNER))
+    chain = 1e3 * press.chain_at(since_onset(press.chain).mean_within(INNER))
     large = np.nan_to_num(result["gross_contact_area"].values) > 5
     return np.where(large, measured_inner(result), np.nan), chain
 
@@ -52,7 +53,7 @@ def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arr
 
     The measured one is NaN where the contact is under 3 mm².
     """
-    seen = press.chain_since_onset
+    seen = since_onset(press.chain)
     large = press.chain_at(seen.contact_area) > 3e-6
     return np.where(large, 1e3 * result["median_divergence"].values, np.nan), 1e3 * press.chain_at(seen.area_median)
 

@@ -19,10 +19,9 @@ from fingerflow.schema.views import View
 class Calibration:
     """Calibration of a rig: image scale, transforms between the two views, and the matched discs of the target.
 
-    Positions are (x, y) in px of a view; integers are pixel centres.
-
-    `mm_per_px` holds in the contact view. `discs` are pairs (topography, contact), the largest first, then clockwise.
-    `affine` and `similarity` are the transforms topography -> contact; a single view has neither transforms nor discs.
+    Positions are (x, y) in px of a view; integers are pixel centres. `mm_per_px` holds in the contact view. `discs` are
+    pairs (topography, contact), the largest first, then clockwise. `affine` and `similarity` are the transforms
+    topography -> contact; a single view has neither transforms nor discs.
     """
 
     mm_per_px: float

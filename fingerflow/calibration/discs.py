@@ -53,8 +53,8 @@ def find_hole(view_image: ArrayLike, background: ArrayLike | None = None) -> Dis
 
 def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
     """Return all dark discs whose radius lies between two given fractions of the shorter side of the view."""
-    image = _checked(view_image, "the view")
-    empty = None if background is None else _checked(background, "the background of the view")
+    image = _grey_levels(view_image, "the view")
+    empty = None if background is None else _grey_levels(background, "the background of the view")
     if empty is not None and empty.shape != image.shape:
         raise FingerflowError(
             f"the background of the view is {empty.shape} and the view is {image.shape}: crop both with the same View"
@@ -74,7 +74,7 @@ def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii:
     return separate
 
 
-def _checked(image: ArrayLike, name: str) -> Array:
+def _grey_levels(image: ArrayLike, name: str) -> Array:
     levels = np.asarray(image, dtype=np.float64)
     if levels.ndim != 2 or 0 in levels.shape:
         raise FingerflowError(f"{name} has the shape {levels.shape}; one grey image (height, width) is needed")

@@ -31,13 +31,11 @@ RAGGEDNESS_HARMONICS = range(3, 9)
 class Disc:
     """Dark disc measured in a view, in which the disc appears as an ellipse.
 
-    Positions are (x, y) in px of the view; integers are pixel centres.
-
-    `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
-    `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
-    points that the robust fit kept, `coverage` their share of all directions. `contrast` is the step in brightness
-    over the brightness outside. `significance` is that step over its spread along the contour, times the root of the
-    radius in pixels.
+    Positions are (x, y) in px of the view; integers are pixel centres. `semi_axes_px` has the longer first, `angle`
+    (rad, from x towards y, in [0, pi)) is its direction. `center_sigma_px` is the standard deviation of the centre
+    along its worse direction. `edge_rms_px` is over the edge points that the robust fit kept, `coverage` their share of
+    all directions. `contrast` is the step in brightness over the brightness outside. `significance` is that step over
+    its spread along the contour, times the root of the radius in pixels.
     """
 
     center: tuple[float, float]
@@ -67,7 +65,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
     """
     middle, inverse = np.asarray(center, dtype=np.float64), np.eye(2) / radius_px
     for band in SEARCH_BANDS:
-        unwrapped = _Unwrapped(image, middle, inverse, band)
+        unwrapped = _UnwrappedImage(image, middle, inverse, band)
         points, angles = unwrapped.edge_points()
         fitted = _fit_ellipse(points, middle, inverse)
         if fitted is None:
@@ -93,7 +91,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
     )
 
 
-class _Unwrapped:
+class _UnwrappedImage:
     """Image resampled along rays from the centre of an ellipse, as grey levels (rays, radii).
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.

@@ -142,8 +142,7 @@ def _best_pair(
 
     def score(distortion: Array) -> Array:
         cost = np.where(distortion < MOST_DISTORTION, (distortion / TYPICAL_DISTORTION) ** 2, np.inf)
-        result: Array = np.exp(weight - (cost + size_cost) / 2)
-        return result
+        return np.asarray(np.exp(weight - (cost + size_cost) / 2))
 
     proper_score, mirrored_score = score(proper), score(mirrored)
     first, second = np.unravel_index(np.argmax(proper_score), proper_score.shape)

@@ -47,11 +47,25 @@ def keys(
 
 
 @app.command()
-def info(recording: Path, as_json: AsJson = False) -> None:
-    """Print the properties of a recording; frames are not decoded, so damage in their pixels is not detected."""
-    from fingerflow.recordings import open_recording
+def info(
+    recording: Annotated[Path, typer.Argument(help="A recording, or a force file.")], as_json: AsJson = False
+) -> None:
+    """Print the properties of a recording or of a force file.
 
-    found = open_recording(recording)
+    Frames are not decoded, so damage in their pixels is not detected.
+    """
+    from fingerflow.recordings import force_facts, open_recording
+
+    try:
+        found = open_recording(recording)
+    except FingerflowError as not_a_recording:
+        try:
+            forces = force_facts(recording)
+        except FingerflowError as not_forces:
+            can_be_a_recording = recording.suffix.lower() in (".h5", ".hdf5")  # or forces
+            raise not_a_recording if can_be_a_recording or not recording.exists() else not_forces from None
+        columns = {} if as_json else {f"column {name}": said for name, said in forces.pop("columns").items()}
+        return tell_facts(forces | columns, as_json)
     facts = {
         "path": str(found.path),
         "frames": len(found),

@@ -54,6 +54,32 @@ def report(
     typer.echo(f"report: {page}")
 
 
+@app.command("noise-floor")
+def noise_floor(
+    frames: Annotated[Path, typer.Argument(help="A recording of skin, or of a print, that rests on the glass.")],
+    scene: Annotated[Path, typer.Option(help="The scene whose settings apply.")] = Path("scene.toml"),
+    as_json: AsJson = False,
+) -> None:
+    """Measure the noise floors of displacement, divergence and strain in still frames, and print them for [rig]."""
+    from dataclasses import asdict
+
+    from fingerflow.report.noise_floor import MEASURED, still_scene
+    from fingerflow.report.noise_floor import noise_floor as floor_of
+    from fingerflow.schema.scene import load_scene
+    from fingerflow.schema.toml_value import toml_value
+    from fingerflow.schema.variables import VARIABLES
+
+    still = still_scene(load_scene(scene), frames.resolve())
+    found = asdict(floor_of(process_scene(still, list(MEASURED), quiet=as_json), still))
+    found = {name: value if isinstance(value, int) else float(f"{value:.3g}") for name, value in found.items()}
+    lines = [
+        f"{name:14}{one.shown_unit.factor * value:.3g} {one.shown_unit.name}"
+        for name, value, one in zip(MEASURED, found.values(), map(VARIABLES.__getitem__, MEASURED), strict=False)
+    ]
+    lines += ["", f"For the report, in {scene}:", "[rig]", f"noise_floor = {toml_value(found)}"]
+    tell(found, "\n".join(lines), as_json)
+
+
 @app.command()
 def slip(
     scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],

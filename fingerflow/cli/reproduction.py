@@ -1,5 +1,6 @@
 """Command that reproduces both papers from simulated recordings."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -7,6 +8,7 @@ import typer
 
 from fingerflow.cli.app import app
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.variable_record import IN_PERCENT
 
 
 @app.command()
@@ -18,6 +20,7 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="A small study of presses, in minutes.")] = False,
 ) -> None:
     """Simulate the experiments of both papers, measure them, and set every printed number beside what is obtained."""
+    os.environ.pop(IN_PERCENT, None)  # units are those in print; before units of the rows are read
     from fingerflow.reproduce.both_papers import reproduce
     from fingerflow.reproduce.paper_page import TITLES
 

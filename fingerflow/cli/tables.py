@@ -13,7 +13,7 @@ Result = Annotated[Path, typer.Argument(help="A result file, or the results fold
 @app.command("export-table")
 def export_table(
     result: Result,
-    table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")],
+    table: Annotated[Path, typer.Argument(help="A .csv, .mat or .nwb file, or a .zarr folder.")],
     rows: Annotated[
         str,
         typer.Option(
@@ -27,12 +27,12 @@ def export_table(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Export a result as a CSV table (one row per frame, point or track step), or completely as .mat."""
+    """Export a result as a CSV table (a row per frame, point or track step), or completely as .mat, .nwb or .zarr."""
     from fingerflow.results import tables
     from fingerflow.results.result import load_result
     from fingerflow.results.stream_result import open_stream
 
-    given = open_stream(result) if result.is_dir() else load_result(result)
+    given = open_stream(result) if result.is_dir() and result.suffix != ".zarr" else load_result(result)
     tables.export_table(given, table, rows, variables, overwrite)
     typer.echo(f"{table} was written")
 

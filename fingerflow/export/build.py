@@ -79,7 +79,7 @@ class Graph:
     outputs: tuple[str, ...]
 
     def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Run the graph in torch with portable ops, from inputs by name to outputs by name."""
+        """Run the graph in torch with portable ops; return its outputs by name, from inputs by name in `known`."""
         with torch.inference_mode(), Portable():
             results = self.module(*(known[name] for name in self.inputs))
         return dict(zip(self.outputs, results, strict=True))
@@ -149,10 +149,10 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
     search = SearchGraph(own.window_px, own.search_px, own.forward_backward_limit_px)
 
     def prepare(view: Tensor, points: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        return _given_tensors(key(view, points, noise))
+        return _known_tensors(key(view, points, noise))
 
     def renew(spline: Tensor, noise: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        return _given_tensors(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
+        return _known_tensors(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
 
     def find(*given: Tensor) -> tuple[Tensor, ...]:
         return tuple(track(Templates(*given[:3]), *given[3:]))
@@ -205,9 +205,7 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _field_graphs(recipe: Recipe) -> _Described:
-    """Return, by graph name, the function and the input and output names of each graph that computes deformation
-    fields.
-    """
+    """Return, by graph name, the function and the input and output names of each graph of deformation fields."""
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -227,6 +225,6 @@ def _field_graphs(recipe: Recipe) -> _Described:
     }
 
 
-def _given_tensors(templates: Templates) -> tuple[Tensor, ...]:
+def _known_tensors(templates: Templates) -> tuple[Tensor, ...]:
     """Return the tensors of `Templates` as a tuple, without optional fields that are None."""
     return tuple(one for one in templates if one is not None)

@@ -62,10 +62,7 @@ class GraphCall(NamedTuple):
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for recording number `place` of a batch, with that row of each batched tensor.
-
-        Tensors (1, ...) serve all recordings.
-        """
+        """Return the call for recording number `place` of a batch; tensors (1, ...) are the same for all recordings."""
         return self._replace(
             values=[
                 value[place : place + 1] if isinstance(value, Tensor) and len(value) == batch else value
@@ -96,10 +93,7 @@ def pad_points(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> li
 
 
 def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
-    """Return the axes along which two tensors differ in length.
-
-    These are the axes of points if the numbers of points differ.
-    """
+    """Return the axes along which two tensors differ in length: those of points, if they differ in points."""
     return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 

@@ -42,7 +42,7 @@ def carry_modules(bundle: Path) -> None:
     bundle its file name has no Python version, because it does not call Python.
     """
     home = bundle / PACKAGE.name
-    for file in (*carried().values(), *(file for pattern in _DATA for file in PACKAGE.glob(pattern))):
+    for file in (*modules_to_carry().values(), *(file for pattern in _DATA for file in PACKAGE.glob(pattern))):
         copy = home / file.relative_to(PACKAGE)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, copy)
@@ -53,7 +53,7 @@ def carry_modules(bundle: Path) -> None:
         shutil.copyfile(library.origin, home / f"_kernels{EXTENSION_SUFFIXES[-1]}")
 
 
-def carried() -> dict[str, Path]:
+def modules_to_carry() -> dict[str, Path]:
     """Return the source files of the modules that a bundle contains, by module name."""
     files = {}
     for file in sorted(PACKAGE.rglob("*.py")):

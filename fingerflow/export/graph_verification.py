@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
 from fingerflow.export.recipe import Recipe
-from fingerflow.export.verification_frames import cases, completed, feed
+from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.kernels.tracking_limits import Number
 
 
@@ -74,17 +73,21 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     worst: dict[tuple[str, str], Difference] = {}
     for batch in batches:
         for case in cases(recipe, batch):
-            known = completed(recipe, case)  # same inputs in all three, so that errors do not propagate between graphs
+            known = complete_inputs(
+                recipe, case
+            )  # same inputs in all three, so that errors do not propagate between graphs
             for name in sessions:
                 graph = graphs[name]
-                given = feed(name, graph, known)
+                given = inputs_of(name, graph, known)
                 reference = graph.run(given)
-                double = exact[name].run({one: _double(tensor) for one, tensor in given.items()})
+                doubles = {one: part.double() if part.is_floating_point() else part for one, part in given.items()}
+                double = exact[name].run(doubles)
                 arrays = {one.name: given[one.name].numpy() for one in sessions[name].get_inputs()}
                 for output, ours in zip(graph.outputs, sessions[name].run(graph.outputs, arrays), strict=True):
                     row = _difference(name, output, ours, reference[output].numpy(), double[output].numpy())
-                    key = (name, output)
-                    worst[key] = row if key not in worst else _worse(worst[key], row)
+                    before = worst.setdefault((name, output), row)
+                    larger = {one: max(getattr(before, one), getattr(row, one)) for one in Difference._fields[3:]}
+                    worst[name, output] = before._replace(**larger)
     rows = list(worst.values())
     wrong = [row for row in rows if not _tolerable(row)]
     if wrong:
@@ -103,10 +106,6 @@ def as_text(rows: list[Difference]) -> str:
         for row in rows
     ]
     return "\n".join((head, *lines))
-
-
-def _double(tensor: Tensor) -> Tensor:
-    return tensor.double() if tensor.is_floating_point() else tensor
 
 
 def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> Difference:
@@ -143,10 +142,6 @@ def _missing_share(expected: NDArray[Any], found: NDArray[Any]) -> float:
 def _largest(ours: NDArray[Any], other: NDArray[Any]) -> float:
     both = np.isfinite(ours) & np.isfinite(other)
     return float(np.max(np.abs(ours[both].astype(np.float64) - other[both]), initial=0.0))
-
-
-def _worse(one: Difference, other: Difference) -> Difference:
-    return one._replace(**{name: max(getattr(one, name), getattr(other, name)) for name in one._fields[3:]})
 
 
 def _tolerable(row: Difference) -> bool:

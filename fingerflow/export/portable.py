@@ -6,10 +6,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Portable(TorchDispatchMode):
-    """Torch dispatch mode in which ops use their portable implementation.
-
-    Ops do so under any dispatch mode.
-    """
+    """Torch dispatch mode in which ops use their portable implementation, as they do under any dispatch mode."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]

@@ -52,15 +52,15 @@ class OnnxRuntime:
 
     def __init__(self, threads: int, folder: Path | None = None) -> None:
         need_packages()
-        self.folder = folder or _own_folder()
+        self.folder = folder or _cache_folder()
         self.threads = threads
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
         """Wrap a torch module so that ONNX Runtime executes the methods of the module."""
-        return cast(M, _Executed(module, self))
+        return cast(M, _WrappedModule(module, self))
 
-    def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
+    def session(self, leaves: "_ExportedMethod", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
         """Open an ONNX Runtime session for a method and tensor shapes; export the graph first if it is not cached."""
         import onnxruntime
 
@@ -90,11 +90,8 @@ class OnnxRuntime:
         options.intra_op_num_threads = self.threads
         return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 
-    def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
-        """Return the name under which a graph is cached.
-
-        It depends on method, settings, shapes, other arguments, torch version and source hash.
-        """
+    def _name(self, leaves: "_ExportedMethod", tensors: list[Tensor], inputs: Sequence[str]) -> str:
+        """Return the cache name of a graph: a hash of method, settings, shapes, arguments, torch version and source."""
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
         facts = [
             _source_hash(),
@@ -108,7 +105,7 @@ class OnnxRuntime:
         return f"{leaves.title}-{digest[:24]}"
 
 
-class _Executed:
+class _WrappedModule:
     """Wrapper of a torch module with the same attributes, whose methods ONNX Runtime executes."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
@@ -139,7 +136,7 @@ class _Executed:
             tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True)),
         )
         if key not in self._sessions:
-            leaves = _Leaves(self._module, method, call)
+            leaves = _ExportedMethod(self._module, method, call)
             with Portable():  # compiled kernels may return fewer results
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
                 more = result
@@ -174,7 +171,7 @@ def _padded_count(points: int) -> int:
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
-class _Leaves(nn.Module):
+class _ExportedMethod(nn.Module):
     """Torch module that wraps a method for ONNX export: it takes tensors by position and returns a tuple of tensors."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
@@ -192,7 +189,7 @@ class _Leaves(nn.Module):
         return tuple(leaf.clone() if any(leaf is one for one in tensors) else leaf for leaf in results)
 
 
-def _own_folder() -> Path:
+def _cache_folder() -> Path:
     """Return the user's cache folder for graphs, or a new temporary folder if others may have put files there."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"

@@ -23,17 +23,14 @@ _KEY, _FRAME = 180, 183  # frames of the press in which skin in contact moves an
 
 
 class Case(NamedTuple):
-    """Test case: named inputs of graphs; `completed` adds inputs that other graphs compute."""
+    """Test case: named inputs of graphs; `complete_inputs` adds inputs that other graphs compute."""
 
     name: str
     inputs: dict[str, Tensor]
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
-    """Create the test cases for the graphs of a recipe.
-
-    These are a press with sub-pixel motion; blank, black, saturated or noise frames; invalid points.
-    """
+    """Create test cases for graphs: a press with sub-pixel motion, frames without a finger, and invalid points."""
     size = (recipe.views.height, recipe.views.width)
     most = 2**recipe.views.bit_depth - 1
     kind = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
@@ -86,12 +83,12 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     ]
 
 
-def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
+def complete_inputs(recipe: Recipe, case: Case) -> dict[str, Tensor]:
     """Complete the inputs of a test case by running, in torch, the graphs that compute the missing inputs."""
     known = dict(case.inputs)
     graphs = build(recipe)
     for name in ("light", "noise", "spline", "prepare"):
-        known |= graphs[name].run(feed(name, graphs[name], known))
+        known |= graphs[name].run(inputs_of(name, graphs[name], known))
     found = graphs["track"].run(known)
     known |= {"found": found["points"], "found_covariance": found["covariance"]}
     known["start"] = known["template_start"]
@@ -103,7 +100,7 @@ def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
     return known
 
 
-def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
+def inputs_of(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
     """Return the inputs of one graph by name; graphs that run on the key frame get `key_view` as topography view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):

@@ -22,7 +22,7 @@ from fingerflow.export.expected import expected_numbers
 from fingerflow.export.graph_verification import Difference, verify
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.export.verification_frames import cases, completed, feed
+from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.unfinished import finish, unfinished
 
@@ -75,9 +75,9 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     dynamic = recipe.views.batch == "dynamic"
     # The exporter would take a batch of 1 for a constant.
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
-    known = completed(recipe, cases(recipe, batch)[0])
+    known = complete_inputs(recipe, cases(recipe, batch)[0])
     # The exporter would merge two inputs that are the same tensor.
-    tensors = tuple(tensor.clone() for tensor in feed(name, graph, known).values())
+    tensors = tuple(tensor.clone() for tensor in inputs_of(name, graph, known).values())
     shapes = (tuple({0: torch.export.Dim.DYNAMIC} for _ in graph.inputs),) if dynamic else None
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
     model.producer_name, model.producer_version = "fingerflow", __version__

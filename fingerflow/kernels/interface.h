@@ -342,14 +342,14 @@ void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int th
 
 // Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
 // count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
-// and z, or where it is held the bone's displacement, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
+// and z, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
 // (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 2) of steps
 // and of those not kept. At least three elements.
 struct fingerflow_skin_chain {
     const double *reference, *numbers, *friction, *load, *rest;
     double *place, *bone, *rubbed, *step, *time;
     std::int64_t* counts;
-    std::int64_t batch, count, held_x, held_z, most_steps;
+    std::int64_t batch, count, most_steps;
     double tolerance, duration;
 };
 void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);

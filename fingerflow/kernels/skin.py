@@ -1,7 +1,5 @@
 """Kernel of the skin chain, the model of a fingertip's skin in `fingerflow.models`."""
 
-from collections.abc import Sequence
-
 from fingerflow.kernels.arrays import Array, in_one_piece, may_be_written, zeros
 from fingerflow.kernels.checks import check_like
 from fingerflow.kernels.library import entry, threads
@@ -20,7 +18,6 @@ def press_skin(
     rubbed: Array,
     step: Array,
     *,
-    held: Sequence[bool],
     most_steps: int,
     tolerance: float,
     duration: float,
@@ -47,7 +44,6 @@ def press_skin(
         check_like(name, (given | changed)[name], "float64", shape)
     if count < 3 or not all(may_be_written(array) for array in changed.values()):
         raise ValueError(f"a chain of {count} elements: give 3 or more, and a state in one piece")
-    held_x, held_z = held
     time, counts = zeros(step, "float64", batch), zeros(step, "int64", batch, 2)
     entry("press_skin")(
         **{name: in_one_piece(tensor) for name, tensor in given.items()},
@@ -56,8 +52,6 @@ def press_skin(
         counts=counts,
         batch=batch,
         count=count,
-        held_x=held_x,
-        held_z=held_z,
         most_steps=most_steps,
         tolerance=tolerance,
         duration=duration,

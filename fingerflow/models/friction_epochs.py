@@ -32,12 +32,14 @@ class FrictionEpochs:
     count: Tensor  # (E, A) int64 samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return median and interquartile range of friction over the sliding epochs, and the number of epochs, each
-        (A,).
+        """Return median and interquartile range of friction over the epochs, and the number of epochs, by bin (A,).
 
-        There is one value for each of A bins of vibration amplitude; an epoch counts with its median in the bin.
+        An epoch counts with its median in a bin of vibration amplitude.
         """
-        return _summary(self.median)
+        columns = [column[np.isfinite(column)] for column in self.median.T.numpy()]
+        rows = [_median_and_iqr(column, np.ones(len(column))) for column in columns]
+        of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
+        return of[:, 0], of[:, 1], self.median.isfinite().sum(0)
 
 
 def friction_epochs(
@@ -51,8 +53,7 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Compute the friction coefficient (tangential over normal force) of each sliding epoch, in bins of vibration
-    amplitude.
+    """Compute the friction coefficient |T| / N of each sliding epoch, in bins of vibration amplitude.
 
     The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
     from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
@@ -106,9 +107,7 @@ def friction_epochs(
 def _fit_modulation(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sinusoid to a vibration amplitude a; return the times (s) of its minima, and |da/dt| (T,) over its
-    maximum.
-    """
+    """Fit a sinusoid a(t) to a vibration amplitude; return the times (s) of its minima, and |da/dt| (T,) up to 1."""
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -136,13 +135,6 @@ def _median_and_iqr(values: NDArray[np.float64], weights: NDArray[np.float64]) -
     share = (until - weights[order] / 2) / until[-1]
     low, middle, high = np.interp((0.25, 0.5, 0.75), share, values[order])
     return float(middle), float(high - low)
-
-
-def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    columns = [column[np.isfinite(column)] for column in values.T.numpy()]
-    rows = [_median_and_iqr(column, np.ones(len(column))) for column in columns]
-    of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
-    return of[:, 0], of[:, 1], values.isfinite().sum(0)
 
 
 def _check_trace(

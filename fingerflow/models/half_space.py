@@ -21,6 +21,7 @@ The right-hand forms add terms of one sign, so nothing cancels close to the surf
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -58,11 +59,11 @@ def stress(
     Raises:
         ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
     """
-    edges, pressure, traction = _checked(edges, pressure, traction)
+    edges, pressure, traction = _check_load(edges, pressure, traction)
     place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
     if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
         raise ValueError(
-            f"y from {_least(place)} and z from {_least(depth)}: give finite places with z > 0; the surface "
+            f"y from {float(place.min())} and z from {float(depth.min())}: give finite places with z > 0; the surface "
             "itself has sigma_z = -pressure and tau_yz = -traction"
         )
     at_once = max(1, _PAIRS_AT_ONCE // max(1, edges.numel()))
@@ -71,7 +72,8 @@ def stress(
         first, second = along - edges[..., None, :-1], along - edges[..., None, 1:]
         of = _integrals(first, second, edges.diff(dim=-1)[..., None, :], down)
         pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
-        parts.append(torch.stack([_over_strips(of_p, pressure) + _over_strips(of_q, traction) for of_p, of_q in pairs]))
+        over_strips = partial(torch.einsum, "...km,...m->...k")
+        parts.append(torch.stack([over_strips(of_p, pressure) + over_strips(of_q, traction) for of_p, of_q in pairs]))
     whole = -torch.cat(parts, -1) / math.pi
     return Stress(*whole.reshape(*whole.shape[:-1], *place.shape))
 
@@ -83,10 +85,6 @@ class _Kernels(NamedTuple):
     zzz: Tensor  # of 2 z^3 / R^4
     zz_r: Tensor  # of 2 z^2 r / R^4
     rrr: Tensor  # of 2 r^3 / R^4
-
-
-def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
-    return torch.einsum("...km,...m->...k", integrals, load)
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
@@ -102,7 +100,8 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     large = (1 + cosine_sum.abs()) / 2
     small = sine_sum * sine_sum / (4 * large)
     sine_half, cosine_half = torch.where(ahead, small, large), torch.where(ahead, large, small)
-    excess = _angle_minus_sine(theta, sine)
+    small_angle = theta < 1
+    excess = torch.where(small_angle, _odd_series(torch.where(small_angle, theta, 0.0), -1.0), theta - sine)
     zz_r = sine * sine_sum
     # h = log(R_1 / R_2); 2 h - sin theta sin Sigma = 2 (h - sinh h) + 2 sinh h (sin^2(theta/2) + sin^2(Sigma/2))
     growth = width * between
@@ -113,25 +112,16 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     half = torch.sin(theta / 2)
     near_one = h.abs() < 1
     # sinh h - h is the same series as theta - sin theta with all signs positive.
-    careful = 2 * sinh * (half * half + sine_half) - 2 * _sinh_minus_value(torch.where(near_one, h, 0.0))
+    careful = 2 * sinh * (half * half + sine_half) - 2 * _odd_series(torch.where(near_one, h, 0.0), 1.0)
     rrr = torch.where(near_one, careful, 2 * h - zz_r)
     return _Kernels(excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr)
 
 
-def _angle_minus_sine(angle: Tensor, sine: Tensor) -> Tensor:
-    """Return angle - sin(angle) >= 0, without cancellation at small angles."""
-    small = angle < 1
-    reduced = torch.where(small, angle, 0.0)
-    return torch.where(small, _odd_series(reduced, -1.0), angle - sine)
-
-
-def _sinh_minus_value(value: Tensor) -> Tensor:
-    """Return sinh(value) - value for |value| < 1, without cancellation."""
-    return _odd_series(value, 1.0)
-
-
 def _odd_series(value: Tensor, sign: float) -> Tensor:
-    """Return the series value^3 / 3! + sign value^5 / 5! + value^7 / 7! + sign value^9 / 9! + ..."""
+    """Return the series value^3 / 3! + sign value^5 / 5! + value^7 / 7! + sign value^9 / 9! + ...
+
+    For |value| < 1 it is, without cancellation, value - sin(value) with the sign -1 and sinh(value) - value with 1.
+    """
     squared = value * value
     total = torch.zeros_like(value)
     for k in range(9, 0, -1):
@@ -139,7 +129,7 @@ def _odd_series(value: Tensor, sign: float) -> Tensor:
     return total * squared * value
 
 
-def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+def _check_load(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     edges, pressure = (torch.as_tensor(given, dtype=torch.float64) for given in (edges, pressure))
     traction = torch.zeros_like(pressure) if traction is None else torch.as_tensor(traction, dtype=torch.float64)
     for name, load in (("pressure", pressure), ("traction", traction)):
@@ -154,7 +144,3 @@ def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[
     if not bool((edges.diff(dim=-1) > 0).all()) or not bool(edges.isfinite().all()):
         raise ValueError("edges do not rise from each to the next: sort strips along y and leave empty ones out")
     return edges, pressure, traction
-
-
-def _least(values: Tensor) -> float:
-    return float(values.min()) if values.numel() else math.nan

@@ -20,10 +20,9 @@ _SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
     """Return the compression (L - a) / L of a skin arc of length L that is pressed flat to radius a.
 
-    It is exact to rounding and has the broadcast shape of the arguments.
-
-    A frictionless contact releases this compression, a sticking one retains it: about 10 % at 3 mm and a radius of
-    10 mm. It is differentiable, also at delta = 0, where it is delta / (3 R).
+    It is exact to rounding and has the broadcast shape of the arguments. A frictionless contact releases this
+    compression, a sticking one retains it: about 10 % at 3 mm and a radius of 10 mm. It is differentiable, also at
+    delta = 0, where it is delta / (3 R).
 
     Args:
         delta: normal indentation, 0 to the radius, in the unit of the radius.

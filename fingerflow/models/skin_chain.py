@@ -37,17 +37,14 @@ mu = 0, 0.05 and 1 with the lab's parameters and 3 N, where the median along the
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
-from fingerflow.models.skin_motion import Chains, Motion, moved
-from fingerflow.models.skin_parameters import Number, SkinParameters, named
+from fingerflow.models.skin_motion import Chains, Motion, advance_chains
+from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
-Friction = float | Tensor | Callable[[float, Tensor], Tensor]
-Loads = tuple[Number | None, ...]  # load_n, tangential_n, indentation_m and slide_m of `press`
 TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
 CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
 REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
@@ -77,8 +74,9 @@ class PressedChain:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the surface load of touching elements for `half_space.stress`: edges (..., M + 1) in m, pressure and
-        traction (..., M) in Pa. Raises ValueError if nothing touches.
+        """Return the load of the M touching elements on the skin's surface, as `half_space.stress` takes it.
+
+        Edges (..., M + 1) are in m, pressure and traction (..., M) in Pa. Raises ValueError if nothing touches.
         """
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
@@ -91,13 +89,11 @@ class PressedChain:
 
 
 def press(
-    friction: Friction,
+    friction: Number,
     parameters: str | SkinParameters = "lab",
     load_n: Number = 3.0,
     *,
     tangential_n: Number = 0.0,
-    indentation_m: Number | None = None,
-    slide_m: Number | None = None,
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
@@ -108,11 +104,10 @@ def press(
     gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
 
     Args:
-        friction: coefficient mu >= 0, a number or a tensor for many presses. Or a function of the time in s and the
-            positions x (..., N) in m that returns each element's coefficient; here for the undeformed chain at time 0.
+        friction: coefficient mu >= 0, a number or a tensor for many presses.
         parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
-        load_n: force that presses the bone down, N; ``indentation_m`` prescribes that motion of the bone instead.
-        tangential_n: force that pulls the bone along +x, N; ``slide_m`` prescribes that motion instead.
+        load_n: force that presses the bone down, N.
+        tangential_n: force that pulls the bone along +x, N.
         elements: 4 or more; the parameters refer to 501 elements and are converted.
         tolerance_m: position error in one step.
         longest_s: time limit. A bone pulled beyond the friction limit slides on: the press then ends without
@@ -123,108 +118,85 @@ def press(
             requires a gradient.
         RuntimeError: no step length meets the tolerance.
     """
-    given = load_n, tangential_n, indentation_m, slide_m
-    chains, start = _undeformed_chains(friction, parameters, elements, given)
-    ends, held = _loads(chains.shape, given)
-    coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
-    # A prescribed motion is ramped over 10 ms, so that the skin can follow; a force acts at once.
-    if any(held):
-        ramp = torch.stack((torch.where(torch.tensor(held), 0.0, ends), ends), -2)
-        start = moved(chains, start, coefficient, ramp, held, 0.01, tolerance_m, 0.0)
-    rest = REST * ends.abs().masked_fill(torch.tensor(held), 0).sum(-1).clamp_min(0.1 if any(held) else 1e-3)
-    end = moved(chains, start, coefficient, torch.stack((ends, ends), -2), held, longest_s, tolerance_m, rest)
-    return _measured(chains, end, coefficient, ends, held)
+    chains, start = _undeformed_chains(friction, parameters, elements, load_n, tangential_n)
+    coefficient, load = _coefficient(friction, chains), _load(chains.shape, load_n, tangential_n)
+    rest = REST * load.abs().sum(-1).clamp_min(1e-3)
+    loads = torch.stack((load, load), -2)
+    end = advance_chains(chains, start, coefficient, loads, longest_s, tolerance_m, rest)
+    return _pressed_chain(chains, end, coefficient, load)
 
 
 def follow(
-    friction: Friction,
+    friction: Number,
     time: Tensor,
     load_n: Tensor | float,
     *,
     parameters: str | SkinParameters = "lab",
     tangential_n: Tensor | float = 0.0,
-    indentation_m: Tensor | float | None = None,
-    slide_m: Tensor | float | None = None,
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
     """Compute the motion of a skin chain at times (T,) under a load trace that is linear between these times.
 
-    Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. A friction function is evaluated at
-    each time, at the current positions of the elements. Raises ValueError as `press` does.
+    Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. Raises ValueError as `press` does.
     """
     steps = time.double().diff()
     if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
         raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
-    traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
-    at = [_trace(name, value, len(time)) for name, value in traces.items()]
-    given = [tuple(None if trace is None else trace[k] for trace in at) for k in range(len(time))]
-    chains, state = _undeformed_chains(friction, parameters, elements, given[0])
-    found = []
-    before, held = _loads(chains.shape, given[0])
-    for k in range(len(time)):
-        after, _ = _loads(chains.shape, given[k])
-        coefficient = _coefficient(friction, float(time[k]), state.place[..., 0], chains.shape)
-        if k:
-            loads = torch.stack((before, after), -2)
-            state = moved(chains, state, coefficient, loads, held, float(steps[k - 1]), tolerance_m, 0.0)
+    down, along = _trace("load_n", load_n, len(time)), _trace("tangential_n", tangential_n, len(time))
+    chains, state = _undeformed_chains(friction, parameters, elements, down[0], along[0])
+    before, coefficient = _load(chains.shape, down[0], along[0]), _coefficient(friction, chains)
+    found = [_pressed_chain(chains, state, coefficient, before)]
+    for k, step in enumerate(steps.tolist(), 1):
+        after = _load(chains.shape, down[k], along[k])
+        loads = torch.stack((before, after), -2)
+        state = advance_chains(chains, state, coefficient, loads, step, tolerance_m, 0.0)
         before = after
-        found.append(_measured(chains, state, coefficient, after, held))
+        found.append(_pressed_chain(chains, state, coefficient, after))
     return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
 def _undeformed_chains(
-    friction: Friction, parameters: str | SkinParameters, elements: int, loads: Loads
+    friction: Number, parameters: str | SkinParameters, elements: int, *loads: Number
 ) -> tuple[Chains, Motion]:
     """Return the skin chains of all parameter sets, and their initial, undeformed state."""
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
-    given = [*loads, *([] if callable(friction) else [friction])]
-    of = named(parameters)
-    numbers = [getattr(of, field.name) for field in fields(of)]
-    tensors = [torch.as_tensor(value) for value in (*given, *numbers) if value is not None]
-    _refuse_gradients(*tensors)
+    of = parameter_set(parameters)
+    tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values())]
+    if any(value.requires_grad for value in tensors):
+        raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
     chains = Chains.of(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()
 
 
-def _loads(shape: torch.Size, loads: Loads) -> tuple[Tensor, tuple[bool, bool]]:
-    """Return the loads (..., 2) along x and z, and for each direction whether the motion is prescribed."""
-    load_n, tangential_n, indentation_m, slide_m = loads
-    down = load_n if indentation_m is None else indentation_m
-    along = tangential_n if slide_m is None else slide_m
-    both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]
-    if not all(bool(value.isfinite().all()) for value in both):
-        raise ValueError("a load is not finite: cut the trace where force or motion is not known")
-    return torch.stack((both[0], -both[1]), -1), (slide_m is not None, indentation_m is not None)
+def _load(shape: torch.Size, down: Number, along: Number) -> Tensor:
+    """Return the load (..., 2) on the bone along x and z, N."""
+    x, z = (torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down))
+    if not bool(x.isfinite().all() and z.isfinite().all()):
+        raise ValueError("a load is not finite: cut the trace where forces are not known")
+    return torch.stack((x, -z), -1)
 
 
-def _trace(name: str, value: Tensor | float | None, count: int) -> Tensor | None:
-    if value is None:
-        return None
+def _trace(name: str, value: Number, count: int) -> Tensor:
+    """Return a load as a trace (T, ...) over T times."""
     trace = torch.as_tensor(value, dtype=torch.float64)
     if trace.ndim and len(trace) != count:
         raise ValueError(f"{name} is {tuple(trace.shape)} beside {count} times: give a number, (T,) or (T, ...)")
     return trace if trace.ndim else trace.expand(count)
 
 
-def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) -> Tensor:
-    """Evaluate and check the friction coefficient (..., N) of each of N elements at a time."""
-    found = friction(time, x) if callable(friction) else torch.as_tensor(friction, dtype=torch.float64)[..., None]
-    coefficient = torch.as_tensor(found, dtype=torch.float64).expand(*shape, x.shape[-1])
-    _refuse_gradients(coefficient)
+def _coefficient(friction: Number, chains: Chains) -> Tensor:
+    """Check a friction coefficient, and return that of each element (..., N)."""
+    coefficient = torch.as_tensor(friction, dtype=torch.float64)
     known = (coefficient >= 0) & (coefficient < math.inf)
     if not bool(known.all()):
         raise ValueError(f"friction {float(coefficient[~known].flatten()[0])}: a coefficient is 0 or more")
-    return coefficient
+    return coefficient[..., None].expand(*chains.shape, chains.reference.shape[-2])
 
 
-def _refuse_gradients(*inputs: Tensor) -> None:
-    if any(value.requires_grad for value in inputs):
-        raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
-
-
-def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]) -> PressedChain:
+def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor) -> PressedChain:
+    """Return strain, divergence, pressure and balance of chains in a state of motion under a load."""
     x, z = at.place.unbind(-1)
     reference = chains.reference
     displacement = at.place - reference
@@ -253,7 +225,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
         divergence=weighted_median(slope + hoop, weight),
         contact_length=on_plate.sum(-1),
         bone=at.bone,
-        balance=chains.unbalanced(at, load, held),
+        balance=chains.unbalanced(at, load),
         time=at.time,
         steps=at.steps,
     )

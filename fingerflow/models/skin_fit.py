@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from torch import Tensor
 
 from fingerflow.models.skin_chain import press
-from fingerflow.models.skin_parameters import SkinParameters, named
+from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
 _STEP = 0.03  # finite-difference step of the logarithms; it spans several elements, by which contact grows
 _FARTHEST = 50.0  # times the first guess, either way
@@ -42,15 +42,14 @@ def fit_skin(
     level: float = 0.95,
     elements: int = 501,
 ) -> SkinFit:
-    """Fit the logarithms of friction and tissue stiffness k_t of a skin chain to measurements by least squares.
+    """Fit friction and tissue stiffness k_t of a skin chain to measurements, by least squares in their logarithms.
 
-    The ratio of plate stiffness to k_t is constant.
-
-    Divergence alone determines friction at the stiffness of ``parameters``. Contact length alone determines that
-    stiffness at ``friction``; both curves determine both. Divergence alone cannot separate the two: more friction looks
-    like less stiffness. Intervals are those of the linearised model at the best fit, with Student's quantile and the
-    spread of the residuals. They are computed in the logarithm, so they contain the estimate and stay positive. Above
-    about 0.2 everything sticks and divergence hardly depends on friction: the interval is then wide.
+    The ratio of plate stiffness to k_t is constant. Divergence alone determines friction at the stiffness of
+    ``parameters``. Contact length alone determines that stiffness at ``friction``; both curves determine both.
+    Divergence alone cannot separate the two: more friction looks like less stiffness. Intervals are those of the
+    linearised model at the best fit, with Student's quantile and the spread of the residuals. They are computed in the
+    logarithm, so they contain the estimate and stay positive. Above about 0.2 everything sticks and divergence hardly
+    depends on friction: the interval is then wide.
 
     Args:
         load_n: (K,) N, normal forces of the measured values, each simulated as a separate press of an undeformed chain.
@@ -75,23 +74,21 @@ def fit_skin(
     count = sum(int(where.sum()) for where in known.values())
     if count < 3:
         raise ValueError(f"{count} measured numbers for one or two unknowns: give three or more")
-    skin = named(parameters)
+    skin = parameter_set(parameters)
     begin = np.log([friction, float(skin.tissue_stiffness)])
     free = np.array([divergence is not None, contact_length_m is not None])
     first = begin[free]
+
+    def with_stiffness(tissue: Number) -> SkinParameters:
+        ratio = skin.contact_stiffness / skin.tissue_stiffness
+        return replace(skin, tissue_stiffness=tissue, contact_stiffness=ratio * tissue)
 
     def at(logarithms: Tensor) -> Tensor:
         """Return the residuals (S, count) at S parameter sets, given as logarithms; all presses run in one batch."""
         both = torch.from_numpy(begin).repeat(len(logarithms), 1)
         both[:, torch.from_numpy(free)] = logarithms
         mu, tissue = both.exp()[..., None].unbind(1)
-        ratio = skin.contact_stiffness / skin.tissue_stiffness
-        pressed = press(
-            mu,
-            replace(skin, tissue_stiffness=tissue, contact_stiffness=ratio * tissue),
-            load_n.double(),
-            elements=elements,
-        )
+        pressed = press(mu, with_stiffness(tissue), load_n.double(), elements=elements)
         parts = [
             (getattr(pressed, name)[:, known[name]] - values[known[name]]) / errors[name]
             for name, values in measured.items()
@@ -129,9 +126,5 @@ def fit_skin(
         level=level,
         misfit=float(np.sqrt(2 * found.cost / count)),
         count=count,
-        parameters=replace(
-            skin,
-            tissue_stiffness=tissue,
-            contact_stiffness=skin.contact_stiffness / skin.tissue_stiffness * tissue,
-        ),
+        parameters=with_stiffness(tissue),
     )

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.models.friction import Friction, dahl_friction
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces
@@ -42,24 +41,20 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the bone along x and z over one time interval: forces in N, or prescribed displacements in m.
-
-    `held` marks the directions in which the displacement is prescribed.
-    """
+    """Load on the bone along x and z, N, which changes linearly over one time interval."""
 
     first: Array  # (2,)
     last: Array  # (2,)
-    held: NDArray[np.bool_]  # (2,)
 
     def at(self, share: float) -> Array:
         return self.first + share * (self.last - self.first)
 
 
-def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_]) -> Array:
-    """Return the unbalanced forces (N + 1, 2) on elements and bone, N; 0 where the motion of the bone is prescribed."""
+def net_forces(chain: Chain, state: State, load: Array) -> Array:
+    """Return the unbalanced forces (N + 1, 2) on elements and bone under a load (2,) on the bone, N."""
     forces = elastic_forces(chain, state.nodes)
     forces[:-1, 0] -= state.friction
-    forces[-1] = np.where(held, 0.0, forces[-1] + load)
+    forces[-1] += load
     return forces
 
 
@@ -70,14 +65,12 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
     ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
     early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
     """
-    state.velocity = net_forces(chain, state, load.at(0.0), load.held) / chain.dampers
-    rate = (load.last - load.first) / duration
-    state.velocity[-1] = np.where(load.held, rate, state.velocity[-1])
+    state.velocity = net_forces(chain, state, load.at(0.0)) / chain.dampers
     time = 0.0
     for _ in range(MOST_STEPS):
         left = duration - time
         step = left if state.step > 0.99 * left else state.step
-        error = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
+        error = _try_step(chain, state, mu, load, time / duration, step, duration, tolerance)
         growth = _step_factor(error)
         if growth < 1 or step == state.step:  # a last step cut short says nothing about longer ones
             state.step = step * growth
@@ -86,7 +79,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
             state.steps += 1
             if time >= duration * (1 - 1e-12):
                 return duration
-            if np.abs(net_forces(chain, state, load.at(time / duration), load.held)).sum() <= rest:
+            if np.abs(net_forces(chain, state, load.at(time / duration))).sum() <= rest:
                 return time
         else:
             state.rejected += 1
@@ -98,14 +91,13 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 def _step_factor(error: float) -> float:
     """Return the factor for the next time step, given the error of the last step relative to the tolerance.
 
-    It is a power of 2^(1/4), from 2^(-7/4) to 2.
-
-    The coarse grid keeps rounding in the error from changing the step lengths.
+    It is a power of 2^(1/4), from 2^(-7/4) to 2. The coarse grid keeps rounding in the error from changing the step
+    lengths.
     """
     return float(2 ** (max(-7, min(4, math.floor(4 * math.log2(0.7 * min(max(error, 1e-9), 1e9) ** (-1 / 3))))) / 4))
 
 
-def _try(
+def _try_step(
     chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
 ) -> float:
     """Try one time step and accept it if its error is within the tolerance; return the ratio of error to tolerance.
@@ -113,18 +105,15 @@ def _try(
     The ratio is infinite if Newton's iteration fails.
     """
     c, share, start = C * step, step / duration, state.nodes
-    rate = (load.last - load.first) / duration
 
     def stage(
         rubbed: Array, origin: Array, known: Array, guess: Array, at: Array
     ) -> tuple[Array, Array, Array, Arrow] | None:
-        found = _newton(chain, mu, rubbed, origin, known, guess, at, load.held, c, tolerance)
+        found = _newton(chain, mu, rubbed, origin, known, guess, at, c, tolerance)
         if found is None:
             return None
         nodes, rubbing, arrow = found
-        velocity = (nodes - known) / c
-        velocity[-1] = np.where(load.held, rate, velocity[-1])
-        return nodes, rubbing, velocity, arrow
+        return nodes, rubbing, (nodes - known) / c, arrow
 
     first = stage(
         *(state.friction, start, start + c * state.velocity, start + GAMMA * step * state.velocity),
@@ -142,7 +131,6 @@ def _try(
     end, last_rubbing, last_velocity, arrow = second
     curved = state.velocity / GAMMA - velocity / (GAMMA * (1 - GAMMA)) + last_velocity / (1 - GAMMA)
     side = chain.dampers * (ERROR * step * curved)
-    side[-1] = np.where(load.held, 0.0, side[-1])
     error = float(np.abs(arrow.solve(side)).max()) / tolerance
     if error <= 1:
         state.nodes, state.friction, state.velocity = end, last_rubbing, last_velocity
@@ -157,16 +145,13 @@ def _newton(
     known: Array,
     guess: Array,
     load: Array,
-    held: NDArray[np.bool_],
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
     """Solve an implicit step, damping (X - known) = c forces(X), for node positions X by Newton's method.
 
-    Return X, the friction and the last matrix.
-
-    ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
-    iteration does not converge.
+    Return X, the friction and the last matrix. ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the
+    elements slide. Returns None if Newton's iteration does not converge.
     """
 
     def slid(nodes: Array) -> Friction:
@@ -180,8 +165,7 @@ def _newton(
         forces[:-1, 0] -= rubbing.force
         forces[-1] += load
         side = chain.dampers * (known - nodes) + c * forces
-        side[-1] = np.where(held, load - nodes[-1], side[-1])
-        arrow = Arrow(chain, nodes, rubbing, c, held)
+        arrow = Arrow(chain, nodes, rubbing, c)
         moved = arrow.solve(side)
         nodes = nodes + moved
         most = np.abs(moved).max()

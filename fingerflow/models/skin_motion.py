@@ -78,21 +78,18 @@ class Chains:
         numbers = self.numbers.reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
 
-    def unbalanced(self, at: Motion, load: Tensor, held: tuple[bool, bool]) -> Tensor:
+    def unbalanced(self, at: Motion, load: Tensor) -> Tensor:
         """Return the sum of absolute unbalanced forces on elements and bone for each chain (...), N."""
         loads = load.reshape(-1, 2).numpy()
-        sums = [
-            np.abs(net_forces(self.single(k), at.single(k), loads[k], np.array(held))).sum() for k in range(len(loads))
-        ]
+        sums = [np.abs(net_forces(self.single(k), at.single(k), loads[k])).sum() for k in range(len(loads))]
         return torch.tensor(sums, dtype=torch.float64).reshape(self.shape)
 
 
-def moved(
+def advance_chains(
     chains: Chains,
     start: Motion,
     coefficient: Tensor,
     loads: Tensor,
-    held: tuple[bool, bool],
     duration: float,
     tolerance: float,
     rest: Tensor | float,
@@ -116,7 +113,6 @@ def moved(
         reference, numbers = chains.reference.reshape(batch, count, 2), chains.numbers.reshape(batch, len(NUMBERS))
         time, counts = kernels.press_skin(
             *(reference, numbers, mu, force, rests, place, bone, rubbed, step),
-            held=held,
             most_steps=MOST_STEPS,
             tolerance=tolerance,
             duration=duration,
@@ -125,7 +121,7 @@ def moved(
         time, counts = torch.zeros(batch, dtype=torch.float64), torch.zeros(batch, 2, dtype=torch.int64)
         for k in range(batch):
             state, (first, last) = start.single(k), force[k].numpy()
-            load = Load(first, last, np.array(held))
+            load = Load(first, last)
             time[k] = advance(chains.single(k), state, mu[k].numpy(), load, duration, tolerance, float(rests[k]))
             nodes = torch.from_numpy(state.nodes)
             place[k], bone[k], rubbed[k] = nodes[:-1], nodes[-1], torch.from_numpy(state.friction)

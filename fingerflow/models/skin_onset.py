@@ -1,6 +1,4 @@
-"""Displacement and divergence of a pressed skin chain since each point's onset of contact.
-
-A camera under the glass measures these quantities.
+"""Displacement and divergence of a pressed skin chain since each point's onset of contact, as a camera measures them.
 
 A recording shows skin only from its first contact, so displacement counts from there: u = x(t) - xi, with xi the
 position where the contact edge passed the point. With the chain as the section of a finger of revolution the divergence
@@ -19,20 +17,20 @@ _SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as roundin
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """Displacement and divergence since contact, at T times and M elements, from the axis outward; NaN off the
-    contact.
+    """Displacement and divergence since contact, at T times and M elements from the axis outward.
+
+    Values of elements off the contact are NaN.
     """
 
     radius: Tensor  # (T, ..., M) distance from the axis now
     displacement: Tensor  # (T, ..., M) outward since the onset
     divergence_field: Tensor  # (T, ..., M) dimensionless
     area_median: Tensor  # (T, ...) divergence, median by contact area, as over the pixels of an image
-    line_median: Tensor  # (T, ...) divergence, median along the contact radius
+
     contact_area: Tensor  # (T, ...) m², of the disc
 
     def mean_within(self, share: float) -> Tensor:
-        """Return the area-weighted mean divergence (T, ...) within a `share` of the contact radius; NaN without
-        contact.
+        """Return the mean divergence (T, ...) over the disc of a share of the contact radius; NaN without contact.
 
         By the divergence theorem it measures the flow out of the disc. Unlike a median it depends little on the edge of
         the contact.
@@ -87,7 +85,6 @@ def since_onset(press: PressedChain) -> SinceOnset:
         displacement=moved,
         divergence_field=field,
         area_median=weighted_median(filled, weight * (outer + inner)),
-        line_median=weighted_median(filled, weight),
         contact_area=torch.pi * half.square(),
     )
 

@@ -54,9 +54,8 @@ class SkinParameters:
 def _lab() -> SkinParameters:
     """Return the parameters of the lab's published script.
 
-    The radius is 8 mm and E is 1.54 MPa, with a layer of 20 um and tissue of 25 kPa.
-
-    k_m = E d e / dL / 2 with d = 8 mm is 2.45 kN/m, printed as 2.5 kN/m; k_t = pi r E_t / 2 is 0.31 kN/m per element.
+    The radius is 8 mm and E is 1.54 MPa, with a layer of 20 um and tissue of 25 kPa. k_m = E d e / dL / 2 with d = 8 mm
+    is 2.45 kN/m, printed as 2.5 kN/m; k_t = pi r E_t / 2 is 0.31 kN/m per element.
     """
     radius, spacing = 8e-3, math.pi * 8e-3 / 500
     tissue = math.pi * radius * 25e3 / 2
@@ -74,7 +73,7 @@ PARAMETERS = {
 PARAMETERS["fitted"] = PARAMETERS["paper"].softer(5.6)
 
 
-def named(parameters: "str | SkinParameters") -> SkinParameters:
+def parameter_set(parameters: "str | SkinParameters") -> SkinParameters:
     """Return a parameter set by its name; a set given instead of a name is checked and returned.
 
     Raises:

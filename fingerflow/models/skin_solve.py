@@ -5,7 +5,6 @@ force is a function of the slide and no unknown: a third row for it would only b
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from fingerflow.models.friction import Friction
@@ -17,8 +16,7 @@ class Arrow:
     forces.
     """
 
-    def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
-        """Assemble the matrix; ``held`` (2,) bool marks directions in which the bone's motion is prescribed."""
+    def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float) -> None:
         count = len(chain.reference)
         tissue = c * tissue_slopes(chain, nodes)
         link = c * chain.membrane
@@ -37,18 +35,13 @@ class Arrow:
         self.band = band
         self.column = -tissue.reshape(2 * count, 2)  # symmetric blocks: the bone's rows are its transpose
         self.bone = chain.bone_damping * np.eye(2) + tissue.sum(0)
-        self.held = held
 
     def solve(self, sides: Array) -> Array:
-        """Solve for right-hand sides (N + 1, 2); in a held direction the bone's entry is its prescribed motion."""
+        """Solve the system for a right-hand side (N + 1, 2) of N elements and the bone."""
         elements, bone = sides[:-1].reshape(-1, 1), sides[-1]
         columns = np.concatenate((elements, self.column), 1)
         of = solve_banded((3, 3), self.band, columns, overwrite_b=True, check_finite=False)
         corner = self.bone - self.column.T @ of[:, 1:]
         right = bone - self.column.T @ of[:, 0]
-        free = ~self.held
-        moved = np.where(self.held, bone, 0.0)
-        if free.any():
-            right = right - corner @ moved
-            moved[free] = np.linalg.solve(corner[np.ix_(free, free)], right[free])
+        moved = np.linalg.solve(corner, right)
         return np.concatenate((of[:, 0] - of[:, 1:] @ moved, moved)).reshape(-1, 2)

@@ -71,9 +71,8 @@ def viscoelastic_strain(
 def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:
     """Return the weights of the equilibrium strain at the start and at the end of a time step.
 
-    x is the relaxation rate times the step.
-
-    They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
+    x is the relaxation rate times the step. They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2
+    for a small step, without cancellation.
     """
     small = delay < 0.5
     large, reduced = torch.where(small, 1.0, delay), torch.where(small, delay, 0.0)

@@ -50,16 +50,14 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
     # A soft sensor shows no micro-junctions.
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
         curves.append(_curve(result, "real_contact_area", "real"))
-    label = VARIABLES["gross_contact_area"].with_unit("contact area")
-    return _from_zero(_draw(result, axes, against, curves, label, "Contact area"))
+    return _from_zero(_draw(result, axes, against, curves, "Contact area", "contact area"))
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the semi-axes of the ellipse of the apparent contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
     curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
-    label = VARIABLES["ellipse_semi_axes"].with_unit("semi-axis")
-    return _from_zero(_draw(result, axes, against, curves, label, "Ellipse of the gross contact"))
+    return _from_zero(_draw(result, axes, against, curves, "Ellipse of the gross contact", "semi-axis"))
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -70,15 +68,14 @@ def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str
     need(result, "median_divergence")
     names = [name for name in ("divergence", "curl") if f"median_{name}" in result]
     curves = [_curve(result, f"median_{name}", name) for name in names]
-    label = VARIABLES["median_divergence"].with_unit("median")
-    return _draw(result, axes, against, curves, label, "Divergence and curl")
+    return _draw(result, axes, against, curves, "Divergence and curl", "median")
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the median strain components over the apparent contact; arguments as for `contact_area`."""
     need(result, "median_strain")
     curves = [_curve(result, "median_strain", name, k) for k, name in enumerate(("exx", "eyy", "exy"))]
-    return _draw(result, axes, against, curves, VARIABLES["median_strain"].axis_label, "Strain")
+    return _draw(result, axes, against, curves, "Strain")
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -89,8 +86,7 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
     """
     if "contact_displacement" in result:
         curves = [_curve(result, "contact_displacement", name, k) for k, name in enumerate("xy")]
-        label = VARIABLES["contact_displacement"].with_unit("mean displacement")
-        return _draw(result, axes, against, curves, label, "Displacement in contact")
+        return _draw(result, axes, against, curves, "Displacement in contact", "mean displacement")
     return _from_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
 
 
@@ -105,7 +101,7 @@ def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "
     if not names:
         need(result, "normal_force")
     curves = [_curve(result, name, name.removesuffix("_force")) for name in names]
-    return _draw(result, axes, against, curves, VARIABLES["normal_force"].with_unit("force"), "Forces")
+    return _draw(result, axes, against, curves, "Forces", "force")
 
 
 def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -131,8 +127,7 @@ def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | N
     """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
     name, curve = followed(result), _curve(result, "tracked_share", "tracked")
-    label = VARIABLES["tracked_share"].with_unit(name)
-    drawn = _draw(result, axes, against, [curve], label, f"{name.capitalize()} tracked")
+    drawn = _draw(result, axes, against, [curve], f"{name.capitalize()} tracked", name)
     drawn.set_ylim(0, 103)
     return drawn
 
@@ -145,8 +140,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
     need(result, "forward_backward_median")
     curve = _curve(result, "forward_backward_median")
     curve = curve._replace(values=np.where(curve.values > 0, curve.values, np.nan))
-    label = VARIABLES["forward_backward_median"].with_unit("distance")
-    return _from_zero(_draw(result, axes, against, [curve], label, "Forward-backward distance"))
+    return _from_zero(_draw(result, axes, against, [curve], "Forward-backward distance", "distance"))
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -163,8 +157,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
         rows = np.full(len(values), np.nan)
         rows[known] = np.nanquantile(values[known], fraction, axis=1)
         curves.append(_Curve(f"{fraction:.0%} of the {followed(result)} below", rows, None, "position_std_px"))
-    label = VARIABLES["position_std_px"].with_unit("standard deviation")
-    return _from_zero(_draw(result, axes, against, curves, label, "Uncertainty of a position"))
+    return _from_zero(_draw(result, axes, against, curves, "Uncertainty of a position", "standard deviation"))
 
 
 def need(result: xr.Dataset, *names: str) -> None:
@@ -194,14 +187,19 @@ def _from_zero(axes: Axes) -> Axes:
 def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
     """Draw a figure with the curve of a single variable."""
     need(result, name)
-    return _draw(result, axes, against, [_curve(result, name)], VARIABLES[name].axis_label, title)
+    return _draw(result, axes, against, [_curve(result, name)], title)
 
 
 def _draw(
-    result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], label: str, title: str
+    result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], title: str, words: str = ""
 ) -> Axes:
-    """Draw several curves into one axes, with bands of ± BAND standard deviations."""
+    """Draw several curves into one axes, with bands of ± BAND standard deviations.
+
+    `words` label the vertical axis, with the unit of the first curve; without them its variable does.
+    """
     axes = given_or_new(axes)
+    variable = VARIABLES[curves[0].variable]
+    label = variable.with_unit(words) if words else variable.axis_label
     x = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
         known = np.isfinite(values) & np.isfinite(x.values)

@@ -117,24 +117,25 @@ def _break_long_texts(figure: Figure) -> bool:
     broken = False
     for axes in figure.axes:
         box = axes.get_window_extent()
-        for text, room in ((axes.title, box.width), (axes.xaxis.label, box.width)):
-            broken |= _broken(text, room)
-        broken |= _broken(axes.yaxis.label, box.height, upright=True)
+        broken |= _wrap_text(axes.title, box.width)
+        broken |= _wrap_text(axes.xaxis.label, box.width)
+        broken |= _wrap_text(axes.yaxis.label, box.height, upright=True)
     return broken
 
 
-def _broken(text: Text, room: float, upright: bool = False) -> bool:
-    said = text.get_text()
-    if not said:
+def _wrap_text(text: Text, room: float, upright: bool = False) -> bool:
+    """Wrap a text that is longer than `room` (px), at the ends of clauses if possible; return True if it was."""
+    words = text.get_text()
+    if not words:
         return False
     extent = text.get_window_extent()
     length = extent.height if upright else extent.width
-    longest = max(map(len, said.split("\n")))
+    longest = max(map(len, words.split("\n")))
     if length <= room or longest < 2:
         return False
     width = max(int(longest * room / length), 8)
     lines = [""]
-    for clause in _CLAUSE_END.split(said.replace("\n", " ")):
+    for clause in _CLAUSE_END.split(words.replace("\n", " ")):
         if lines[-1] and len(lines[-1]) + 1 + len(clause) <= width:
             lines[-1] += f" {clause}"
         else:

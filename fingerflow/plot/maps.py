@@ -60,9 +60,8 @@ class Quantity:
 def principal(frame: xr.Dataset) -> tuple[Values, Values]:
     """Return the principal strains (M, 2) of M triangles, major first, and the direction (M,) of the major strain, rad.
 
-    The direction is measured from x towards y.
-
-    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle).
+    They are the eigenvalues and eigenvectors of [[exx, exy], [exy, eyy]] of one frame (Mohr's circle). The direction is
+    measured from x towards y.
     """
     exx, eyy, exy = frame["strain"].values.astype(np.float64).T
     middle, radius = (exx + eyy) / 2, np.hypot((exx - eyy) / 2, exy)
@@ -77,6 +76,9 @@ QUANTITIES: dict[str, Quantity] = {
         "Displacement", "displacement", lambda frame: np.linalg.norm(frame["displacement"].values, axis=-1), False
     ),
     "strain_energy_density": Quantity("Strain energy density", "strain_energy_density", signed=False),
+    "decorrelation": Quantity(
+        "Loss of subset correlation", "subset_correlation", lambda frame: 1 - frame["subset_correlation"].values, False
+    ),
     "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
     "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
     "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),

@@ -15,6 +15,7 @@ from fingerflow.schema.scene import Scene
 
 _MOST_FRAMES = 300
 _ARROW_PX = 40  # drawn length of the largest displacements
+_CAPTION_PX = 32  # height of the line of text above the picture
 
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
@@ -35,16 +36,24 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
         painter.paint(int(frames[-1]))
         for frame in frames:
             picture = painter.paint(int(frame), scale)
-            text = f"{times[frame]:+.3f} s"
+            words = [f"{times[frame]:+.3f} s"]
             if force is not None and np.isfinite(force[frame]):
-                text += f"   {force[frame]:.2f} N"
+                words.append(f"normal force {force[frame]:.2f} N")
             if "gross_slip" in result and result["gross_slip"].values[frame]:
-                text += "   GROSS SLIP"
+                words.append("gross slip")
             if scale:
-                text += f"   arrows {scale:.3g} x"
-            for colour, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):  # readable on bright pictures too
-                cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
-            yield picture
+                words.append(f"displacement drawn {scale:.3g} times larger")
+            yield _captioned(picture, ", ".join(words))
+
+
+def _captioned(picture: Picture, text: str) -> Picture:
+    """Return the picture below a line of text, whose size shrinks where the picture is narrow."""
+    font, height, width = cv2.FONT_HERSHEY_DUPLEX, *picture.shape[:2]
+    size = min(0.55, 0.55 * (width - 20) / cv2.getTextSize(text, font, 0.55, 1)[0][0])
+    drawn = np.zeros((height + _CAPTION_PX, width, 3), np.uint8)
+    drawn[_CAPTION_PX:] = picture
+    cv2.putText(drawn, text, (10, 21), font, size, (235, 235, 235), 1, cv2.LINE_AA)
+    return drawn
 
 
 def _arrow_scale(result: xr.Dataset) -> float:

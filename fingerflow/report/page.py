@@ -27,12 +27,13 @@ from fingerflow.report.inline_svg import curves_of, inline_svg
 from fingerflow.report.key_frames import ReportFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
+from fingerflow.report.practice_table import practice_tables
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
 from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.schema.scene import Scene
 
-_MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain")
+_MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain", "decorrelation")
 Draw = Callable[..., Axes]
 
 
@@ -187,6 +188,7 @@ def write_report(
             lost=lost_points(result),
             calibration=_calibration(result),
             calibration_picture=_calibration_picture(scene),
+            practice=practice_tables(result, scene),
             settings=settings_tables(result.attrs["settings"]),
             stages=[(name, value, 1000 * value / result.sizes["frame"]) for name, value in seconds.items()],
             sizes=dict(result.sizes),

@@ -16,6 +16,7 @@ Picture = NDArray[np.uint8]
 _OUTLINED = ("ellipse_center", "ellipse_semi_axes", "ellipse_angle", "stuck_region")
 STUCK = (255, 0, 200)
 CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), (255, 210, 60)
+_ARROW_OPACITY = 0.7  # the skin stays visible below
 
 
 class ViewPainter:
@@ -66,11 +67,13 @@ class ViewPainter:
             moved = self._result["displacement"].values[frame]
             shown = known & np.isfinite(moved).all(-1)
             tips = _drawing_coordinates(positions[frame] + arrow_scale * moved, matrix)
-            cv2.polylines(part, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
+            arrows = part.copy()
+            cv2.polylines(arrows, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
+            cv2.addWeighted(arrows, _ARROW_OPACITY, part, 1 - _ARROW_OPACITY, 0, dst=part)
         lost = ~known & np.isfinite(positions[0]).all(-1)
         for places, colour in ((now[known], TRACKED), (_drawing_coordinates(positions[0], matrix)[lost], LOST)):
             for place in places.tolist():
-                cv2.circle(part, place, 10, colour, -1, cv2.LINE_AA, 3)
+                cv2.circle(part, place, 14, colour, -1, cv2.LINE_AA, 3)
 
 
 def _drawing_coordinates(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -1,9 +1,8 @@
 """Figures and movies of the papers, and the reproduced ones as files."""
 
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import chain, repeat
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -78,21 +77,19 @@ class PrintedMovie(Generic[Source]):
         frames, shown = self.draw(source)
         pictures = list(frames)
         movie = folder.parent / "movies" / f"{self.name}.mp4"
-        write_atomically(movie, lambda part: encode_video(self._held(pictures), part))
+        repeated = (one for one in pictures for _ in range(self.repeated))
+        write_atomically(movie, lambda part: encode_video(repeated, part))
         path = _save(_strip(pictures), folder / f"{self.name}.png")
         return DrawnFigure(self.name, self.printed, path.name, shown, movie.name)
-
-    def _held(self, pictures: list[Picture]) -> Iterator[Picture]:
-        return chain.from_iterable(repeat(one, self.repeated) for one in pictures)
 
 
 def _strip(pictures: list[Picture]) -> Figure:
     """Return a figure with three frames of a movie: in a row if they are tall, else in a column."""
     chosen = [pictures[at] for at in np.linspace(0, len(pictures) - 1, _STILLS).round().astype(int)]
     height, width = chosen[0].shape[:2]
-    beside = height > 0.8 * width
-    shape = (1, _STILLS) if beside else (_STILLS, 1)
-    ratio = height / width / _STILLS if beside else height / width * _STILLS
+    in_row = height > 0.8 * width
+    shape = (1, _STILLS) if in_row else (_STILLS, 1)
+    ratio = height / width / _STILLS if in_row else height / width * _STILLS
     figure = Figure(figsize=(_WIDE, _WIDE * ratio), layout="constrained")
     for axes, one in zip(np.ravel(figure.subplots(*shape)), chosen, strict=True):
         axes.imshow(one, interpolation="antialiased")
@@ -103,12 +100,9 @@ def _strip(pictures: list[Picture]) -> Figure:
 def _save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG with 256 colours, which has a third of the file size of full colour; return its path."""
     settle(figure)
-    held = io.BytesIO()
-    figure.savefig(held, format="png", dpi=_DPI)
-    picture = (
-        Image.open(held)
-        .convert("RGB")
-        .quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
-    )
+    full = io.BytesIO()
+    figure.savefig(full, format="png", dpi=_DPI)
+    colours = Image.open(full).convert("RGB")
+    picture = colours.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
     write_atomically(path, lambda part: picture.save(part, format="png", optimize=True))
     return path

@@ -1,6 +1,6 @@
 """Figures S1 to S13 and movies M1 to M4 of Willemet et al. 2021, drawn from the simulated study and from models."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +49,11 @@ def _supplement_panels(study: PressStudy, name: str, sources: Sources | None = N
     return list(SHEETS[name](sources or study.sources).panels)
 
 
+def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[PressStudy], Drawn]:
+    """Return the function that draws a figure whose panels are all those of the supplement."""
+    return lambda study: _sheet(name, _supplement_panels(study, name), shown.format(count=_count(study)))
+
+
 def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
     return SheetPanel.of_axes(letter, draw_curves, study.curves, metric)
 
@@ -89,10 +94,6 @@ def _stages(study: PressStudy) -> Drawn:
     return _sheet("S3", panels, f"One simulated press at {float(low.result['normal_force'][frame]):.1f} N.")
 
 
-def _half_sphere(study: PressStudy) -> Drawn:
-    return _sheet("S4", _supplement_panels(study, "S4"), "From the closed form.")
-
-
 def _kinematics(study: PressStudy) -> Drawn:
     high, _ = study.typical
     one = SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes))
@@ -108,10 +109,6 @@ def _decomposition(study: PressStudy) -> Drawn:
     found = decompose(low.result["position"].values[low.peak] - moved, moved)
     panel = SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8)
     return _sheet("S6", [panel], "The measured field of one press at low friction, at its largest force.")
-
-
-def _displacement_and_angle(study: PressStudy) -> Drawn:
-    return _sheet("S7", _supplement_panels(study, "S7"), f"Of the study, {_count(study)}.")
 
 
 def _strain(study: PressStudy) -> Drawn:
@@ -141,25 +138,7 @@ def _strain_energy(study: PressStudy) -> Drawn:
         SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
         *[panel for panel in _supplement_panels(study, "S9") if panel.letter[0] in "DE"],
     ]
-    return _sheet(
-        "S9",
-        panels,
-        f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.",
-    )
-
-
-def _depth(study: PressStudy) -> Drawn:
-    return _sheet(
-        "S10", _supplement_panels(study, "S10"), "The skin chain with the stiffness that gives the printed area, 3 N."
-    )
-
-
-def _observer(study: PressStudy) -> Drawn:
-    return _sheet("S11", _supplement_panels(study, "S11"), f"Of the study, {_count(study)}; intervals are of 95 %.")
-
-
-def _groups(study: PressStudy) -> Drawn:
-    return _sheet("S12", _supplement_panels(study, "S12"), f"Of the study, {_count(study)}.")
+    return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
 
 
 def _curl(study: PressStudy) -> Drawn:
@@ -170,10 +149,6 @@ def _curl(study: PressStudy) -> Drawn:
         *[panel for panel in _supplement_panels(study, "S13") if panel.letter == "C"],
     ]
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
-
-
-def _no_photographs(_: PressStudy) -> Drawn:
-    return None, "Photographs of the apparatus, which is not simulated."
 
 
 def _triangulated(part: SubFigure, press: TypicalPress) -> None:
@@ -211,17 +186,11 @@ def _processed_frames(study: PressStudy) -> Iterator[Picture]:
         open_recording(high.scene.recording.frames, frame_rate=high.scene.recording.frame_rate) as first,
         open_recording(low.scene.recording.frames, frame_rate=low.scene.recording.frame_rate) as second,
     ):
-        painters = ViewPainter(high.result, high.scene, first), ViewPainter(low.result, low.scene, second)
-        for painter, one in zip(painters, (high, low), strict=True):
+        pairs = [(ViewPainter(one.result, one.scene, frames), one) for one, frames in ((high, first), (low, second))]
+        for painter, one in pairs:
             painter.paint(one.peak)  # sets the contrast
-        for force in forces:
-            yield np.concatenate(
-                [
-                    painter.paint(one.frame_at(float(force)) or one.peak, _ARROWS)
-                    for painter, one in zip(painters, (high, low), strict=True)
-                ],
-                axis=0,
-            )
+        for force in map(float, forces):
+            yield np.concatenate([painter.paint(one.frame_at(force) or one.peak, _ARROWS) for painter, one in pairs])
 
 
 def _strain_frames(study: PressStudy) -> Iterator[Picture]:
@@ -242,11 +211,9 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
 
 
 def _movie_contact(study: PressStudy) -> tuple[Iterator[Picture], str]:
-    high, low = study.typical
-    largest = min(high.largest_force, low.largest_force)
-    return _processed_frames(study), (
-        f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
-    )
+    largest = min(one.largest_force for one in study.typical)
+    shown = f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
+    return _processed_frames(study), shown
 
 
 def _movie_protocol(study: PressStudy) -> Drawn:
@@ -274,32 +241,34 @@ def _movie_chain(study: PressStudy) -> tuple[Iterator[Picture], str]:
     return movie_pictures(presses, _CHAIN_STEP), shown
 
 
-def _movie_strain(study: PressStudy) -> tuple[Iterator[Picture], str]:
-    return _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."
-
-
 FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
     PrintedFigure("S1", "A: sliding trial in time; B: friction against α; C, D: apparent area; E, F: real area, with "
                   "difference images at 1, 2, 3 N", _friction_and_area),
-    PrintedFigure("S2", "A: rail, 30°; B: friction reduction device and optics", _no_photographs),
+    PrintedFigure("S2", "A: rail, 30°; B: friction reduction device and optics",
+                  lambda _: (None, "Photographs of the apparatus, which is not simulated.")),
     PrintedFigure("S3", "A1 to 6: raw, normalised, subtracted and filtered, binarised, opened with ellipse, area "
                   "against force; B1 to 6: raw, enhanced, features, tracks, divergence map and median", _stages),
-    PrintedFigure("S4", "A: finger geometry; B: L, a against δ; C: strain against δ", _half_sphere),
+    PrintedFigure("S4", "A: finger geometry; B: L, a against δ; C: strain against δ",
+                  _supplement("S4", "From the closed form.")),
     PrintedFigure("S5", "A: force in time; B, C, D: histograms of force, time to maximum, duration; E to G, I: "
                   "answers; H: force rate; J: largest displacement; K: speed of the furthest point", _kinematics),
     PrintedFigure("S6", "displacement field split into conservative components", _decomposition),
-    PrintedFigure("S7", "A: global displacement, B: peak force angle by α; C to E: answers", _displacement_and_angle),
+    PrintedFigure("S7", "A: global displacement, B: peak force angle by α; C to E: answers", _supplement("S7")),
     PrintedFigure("S8", "A, C: images with triangulation, low and high friction; B, D: strain maps; E, F: strains and "
                   "rates by α; G: strain against divergence; H, I: answers", _strain),
     PrintedFigure("S9", "A: energy density, high and low friction; B, C: energy, its rate against force by α; D: energy"
                   " against divergence; E: answers", _strain_energy),
     PrintedFigure("S10", "A: pressure and deformation; B: surface stresses; C: stress maps with receptors; D: stresses "
-                  "at depth; E: strains in time; F: compression", _depth),
-    PrintedFigure("S11", "A: Gaussian fits over normalised divergence; B: ROC; C: d' and AUC", _observer),
-    PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α", _groups),
+                  "at depth; E: strains in time; F: compression",
+                  _supplement("S10", "The skin chain with the stiffness that gives the printed area, 3 N.")),
+    PrintedFigure("S11", "A: Gaussian fits over normalised divergence; B: ROC; C: d' and AUC",
+                  _supplement("S11", "Of the study, {count}; intervals are of 95 %.")),
+    PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",
+                  _supplement("S12")),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
     PrintedMovie("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
     PrintedFigure("M2", "protocol; contact and ridge images", _movie_protocol),
     PrintedMovie("M3", "deformation of the surface finger model", _movie_chain, 4),
-    PrintedMovie("M4", "surface strains and energy density, high and low friction", _movie_strain, 8),
+    PrintedMovie("M4", "surface strains and energy density, high and low friction", lambda study: (
+        _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."), 8),
 )  # fmt: skip

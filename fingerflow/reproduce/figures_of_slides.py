@@ -63,7 +63,7 @@ def _models(_: Slides) -> Drawn:
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes = figure.subplots()
     load: Values = 1 - np.linspace(1, 0, 400) ** 3
-    _draw_coulomb(axes)
+    axes.plot([0, 1, 1], [1, 1, 0], label=COULOMB, **_STYLES[COULOMB])
     axes.plot(load, (1 - load) ** (2 / 3), label="standard, Tada et al. 2006", **_STYLES[TADA.name])
     axes.plot(load, 1 - load, color=GREY, linestyle=":", label="μk = μs, as printed")
     for ratio, width in ((1.0, 1.0), (0.8, 1.6), (0.5, 2.2)):
@@ -76,10 +76,6 @@ def _models(_: Slides) -> Drawn:
     )
 
 
-def _draw_coulomb(axes: Axes) -> None:
-    axes.plot([0, 1, 1], [1, 1, 0], label=COULOMB, **_STYLES[COULOMB])
-
-
 def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, width: float, scale: float = 0.0) -> None:
     """Draw the stuck area of equation 5 against the load ratio T/N, divided by `scale` (0: the largest load ratio)."""
     largest = float(critical_load_ratio(static, kinetic))
@@ -90,14 +86,6 @@ def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, wid
     if smallest > 0:
         axes.plot([largest / over] * 2, [smallest, 0], ":", color=INK, linewidth=1)
         axes.plot(largest / over, smallest, "o", color=INK, markersize=4)
-
-
-def _abrupt(slides: Slides) -> Drawn:
-    return _draw_set(slides.of(ABRUPT), "The thick lines are the fitted collapse, with its duration.")
-
-
-def _fading(slides: Slides) -> Drawn:
-    return _draw_set(slides.of(FADING), "The area fades without a collapse.")
 
 
 def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
@@ -167,7 +155,9 @@ def _over_time(slides: Slides) -> Drawn:
 FIGURES: tuple[PrintedFigure[Slides], ...] = (
     PrintedFigure("1", "finger image with flow arrows; dashed contours of contact and stuck region", _picture),
     PrintedFigure("2a", "d² against T/N; standard model grey, new model black, Coulomb dashed", _models),
-    PrintedFigure("2b", "four measured d² curves ending abruptly; thicker grey: loss phase, duration", _abrupt),
-    PrintedFigure("2c", "four measured d² curves shrinking without critical size", _fading),
+    PrintedFigure("2b", "four measured d² curves ending abruptly; thicker grey: loss phase, duration", lambda slides:
+                  _draw_set(slides.of(ABRUPT), "The thick lines are the fitted collapse, with its duration.")),
+    PrintedFigure("2c", "four measured d² curves shrinking without critical size", lambda slides:
+                  _draw_set(slides.of(FADING), "The area fades without a collapse.")),
     PrintedFigure("2d", "d² against time, one trial of each category", _over_time),
-)
+)  # fmt: skip

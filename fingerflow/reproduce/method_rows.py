@@ -2,6 +2,7 @@
 
 import inspect
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -96,9 +97,14 @@ def _median_filter(study: PressStudy) -> Obtained:
     )  # fmt: skip
 
 
-def _gross_radius(study: PressStudy) -> Obtained:
-    radius = study.scene.contact.gross_radius_px
-    return Obtained(f"{radius} px, closed, filled, ellipse of its moments", exactly(radius))
+def _setting(text: str, values: Callable[[PressStudy], tuple[float, ...]]) -> Callable[[PressStudy], Obtained]:
+    """Return the function of a row that states settings; ``{}`` in the text stand for their values."""
+
+    def obtain(study: PressStudy) -> Obtained:
+        found = values(study)
+        return Obtained(text.format(*found), exactly(*found))
+
+    return obtain
 
 
 def _registration(study: PressStudy) -> Obtained:
@@ -120,15 +126,8 @@ def _registration(study: PressStudy) -> Obtained:
 
 def _features(study: PressStudy) -> Obtained:
     most = study.scene.tracking.points
-    counts = [
-        len(found["position"][0]) for entry in study.evenly_spaced(4) if (found := study.result_of(entry)) is not None
-    ]
+    counts = [len(result["position"][0]) for _, result in study.evenly_spaced(4)]
     return Obtained(f"{most} at most; {min(counts)} to {max(counts)} here", exactly(most))
-
-
-def _rejection(study: PressStudy) -> Obtained:
-    limit = study.scene.tracking.forward_backward_limit_px
-    return Obtained(f"over {limit:g} px", exactly(limit))
 
 
 def _displacement(study: PressStudy) -> Obtained:
@@ -160,11 +159,6 @@ def _strains(study: PressStudy) -> Obtained:
     )
 
 
-def _constants(study: PressStudy) -> Obtained:
-    modulus, ratio = study.scene.fields.young_modulus_mpa, study.scene.fields.poisson_ratio
-    return Obtained(f"E = {modulus:g} MPa, ν = {ratio:g}", exactly(modulus, ratio))
-
-
 def _energy_density(study: PressStudy) -> Obtained:
     modulus, nu = study.scene.fields.young_modulus_mpa, study.scene.fields.poisson_ratio
     strain = torch.tensor(np.random.default_rng(2).normal(scale=0.05, size=(50, 3)))
@@ -176,10 +170,6 @@ def _energy_density(study: PressStudy) -> Obtained:
     )
     error = float((strain_energy_density(strain, modulus, nu) / printed - 1).abs().max())
     return Obtained(f"the same, to {error:.1g}", agrees=error < _EXACT)
-
-
-def _depth(study: PressStudy) -> Obtained:
-    return Obtained(f"{study.scene.fields.depth_mm:g} mm", exactly(study.scene.fields.depth_mm))
 
 
 def _membrane(_: PressStudy) -> Obtained:
@@ -232,11 +222,6 @@ def _motion(study: PressStudy) -> Obtained:
     )
 
 
-def _dahl(_: PressStudy) -> Obtained:
-    stiffness, exponent = float(_PAPER.friction_stiffness), float(_PAPER.friction_exponent)
-    return Obtained(f"σ0 = {stiffness:g} N/m, n = {exponent:g}, F_c = μ p", exactly(stiffness, exponent))
-
-
 def _spacing() -> float:
     return math.pi * float(_PAPER.radius) / (_ELEMENTS - 1)
 
@@ -265,23 +250,17 @@ def _compression(_: PressStudy) -> Obtained:
     return Obtained(f"{share:.1f} % for R = {RADIUS_MM:g} mm; 10 % for R = {implied:.1f} mm", ((share, share),))
 
 
-def _deep_modulus(_: PressStudy) -> Obtained:
-    modulus = inspect.signature(viscoelastic_strain).parameters["young_modulus"].default / 1e6
-    return Obtained(f"{modulus:g} MPa", exactly(modulus))
+def _default(of: Callable[..., object], name: str) -> float:
+    return float(inspect.signature(of).parameters[name].default)
 
 
 def _cut_off(_: PressStudy) -> Obtained:
-    rate = inspect.signature(viscoelastic_strain).parameters["rate"].default
+    rate = _default(viscoelastic_strain, "rate")
     corner = rate / (2 * math.pi)
     return Obtained(
         f"E/η = {rate:g} 1/s: {1000 / rate:g} ms, {corner:.1f} Hz", ((corner, corner),),
         because="100 1/s is an angular frequency, as the response time of 10 ms shows",
     )  # fmt: skip
-
-
-def _receptors(_: PressStudy) -> Obtained:
-    depths = tuple(1000 * depth for depth in RECEPTOR_DEPTHS_M)
-    return Obtained(" and ".join(f"{depth:g}" for depth in depths) + " mm", exactly(*depths))
 
 
 def _deep_stresses(_: PressStudy) -> Obtained:
@@ -310,18 +289,13 @@ def _deep_stresses(_: PressStudy) -> Obtained:
     )
 
 
-def _gains_over_low_friction(
-    values: Values, frictions: tuple[float, ...]
-) -> tuple[str, tuple[tuple[float, float], ...], str]:
-    """Return the ratios of a quantity (K,) at the highest friction to that at each lower friction.
-
-    They come as text, as the interval of the ratio to the lowest friction, and with that friction as text.
-    """
+def _gains_over_low_friction(study: PressStudy, quantity: str, values: Values) -> Obtained:
+    """Compute the ratios of a quantity (K,) at the highest friction to that at each lower one, the lowest decides."""
+    frictions = study.sources.presses.friction
     high = values[frictions.index(HIGH)]
     ratios = {one: float(high / values[frictions.index(one)]) for one in frictions if one != HIGH}
-    least = min(ratios)
     text = "; ".join(f"{ratio:.3f} over {one:g}" for one, ratio in ratios.items())
-    return f"friction {HIGH:g}: {text}", ((ratios[least], ratios[least]),), f"{least:g}"
+    return Obtained(f"{quantity}, friction {HIGH:g}: {text}", exactly(ratios[min(ratios)]), because=_STUCK)
 
 
 _STUCK = (
@@ -331,20 +305,18 @@ _STUCK = (
 
 
 def _stress_gain(study: PressStudy) -> Obtained:
-    peak = study.sources.depth.receptor_stress[1].min(-1)
-    text, numbers, _ = _gains_over_low_friction(peak, study.sources.presses.friction)
-    return Obtained(f"peak of σ_z, {text}", numbers, because=_STUCK)
+    return _gains_over_low_friction(study, "peak of σ_z", study.sources.depth.receptor_stress[1].min(-1))
 
 
 def _strain_gain(study: PressStudy) -> Obtained:
+    """Compute the gain of the largest compression at the receptor depth of 2 mm by friction."""
     depth = study.sources.depth
     compression = -depth.strain_z[-1, :, len(depth.place) // 2]
-    text, numbers, _ = _gains_over_low_friction(compression, study.sources.presses.friction)
-    return Obtained(f"compression 2 mm deep, {text}", numbers, because=_STUCK)
+    return _gains_over_low_friction(study, "compression 2 mm deep", compression)
 
 
 def _exclusion(study: PressStudy) -> Obtained:
-    limit = inspect.signature(leave_out_moved).parameters["limit_mm"].default
+    limit = _default(leave_out_moved, "limit_mm")
     left_out = study.statistics.get("observer", {}).get("left_out", 0)
     return Obtained(f"{limit:g} mm; {left_out} of {study.sample.counted.used} trials left out", exactly(limit))
 
@@ -364,29 +336,38 @@ ROWS: tuple[Row[PressStudy], ...] = (
         *exactly(300, 512, 640), *rounded(16, 21, digit=1)), _camera),
     Row("B13", "finger angle", "30°", "S2A", (), unobtainable(_ANGLE)),
     Row("B14", "median filter", "9 x 9 (text); radius 5 (S3A)", "Images, S3A", exactly(9), _median_filter),
-    Row("B15", "apparent area", "radius 8 px, then ellipse", "Images, S3A", exactly(8), _gross_radius),
+    Row("B15", "apparent area", "radius 8 px, then ellipse", "Images, S3A", exactly(8), _setting(
+        "{} px, closed, filled, ellipse of its moments", lambda study: (study.scene.contact.gross_radius_px,))),
     Row("B16", "registration", "3 non-aligned points", "Images", (), _registration),
     Row("B17", "features", "700", "Images", exactly(700), _features),
-    Row("B18", "tracking rejection", "bidirectional error > 1 px", "Images", exactly(1), _rejection),
+    Row("B18", "tracking rejection", "bidirectional error > 1 px", "Images", exactly(1), _setting(
+        "over {:g} px", lambda study: (study.scene.tracking.forward_backward_limit_px,))),
     Row("B19", "displacement", "", "Images", (), _displacement),
     Row("B20", "divergence", "", "Images", (), _divergence),
     Row("B21", "strains", "ε_xx = u_x + (u_x² + v_x²)/2, ε_xy = (u_y + v_x)/2", "Eq 1", (), _strains),
-    Row("B22", "elastic constants", "E = 1 MPa, ν = 0.4", "Strain", exactly(1, 0.4), _constants),
+    Row("B22", "elastic constants", "E = 1 MPa, ν = 0.4", "Strain", exactly(1, 0.4), _setting(
+        "E = {:g} MPa, ν = {:g}",
+        lambda study: (study.scene.fields.young_modulus_mpa, study.scene.fields.poisson_ratio))),
     Row("B23", "energy density", "equation 2", "Eq 2", (), _energy_density),
-    Row("B24", "depth", "2 mm", "Eq 3", exactly(2), _depth),
+    Row("B24", "depth", "2 mm", "Eq 3", exactly(2), _setting(
+        "{:g} mm", lambda study: (study.scene.fields.depth_mm,))),
     Row("B25", "outer skin stiffness", "k_m = 2.5 kNm", "Model, Eq 4", exactly(2.5), _membrane),
     Row("B26", "subcutaneous stiffness", "k_t = 0.13 kNm", "Model", exactly(0.13), _tissue),
     Row("B27", "damping; response time", "ζ = 0.1; 10 ms", "Model", (*exactly(0.1), *rounded(10, digit=1)), _damping),
     Row("B28", "internal force", "F_i = -k_m (U_i-1 - 2 U_i + U_i+1) - k_t (U_i - U_b) - ζ dU_i/dt", "Eq 4", (),
         _internal_force),
     Row("B29", "motion", "B du/dt + K(u) u + F_ext = 0", "Eqs 5, 6", (), _motion),
-    Row("B30", "friction law", "Dahl: σ0 = 500, n = 0.7", "Eq 7", exactly(500, 0.7), _dahl),
+    Row("B30", "friction law", "Dahl: σ0 = 500, n = 0.7", "Eq 7", exactly(500, 0.7), _setting(
+        "σ0 = {:g} N/m, n = {:g}, F_c = μ p",
+        lambda _: (float(_PAPER.friction_stiffness), float(_PAPER.friction_exponent)))),
     Row("B31", "time step, speed", "2.5 µs; 440 m/s", "Eq 8", exactly(2.5, 440), _speed),
     Row("B32", "spacing, elements", "Δx > 1.1 mm; 501", "Eq 8", ((1.1, math.inf), (501, 501)), _elements),
     Row("B33", "geometric compression", "10 % at δ = 3 mm", "Eqs 9, 10, S4C", rounded(10, digit=1), _compression),
-    Row("B56", "deep model modulus", "E = 1.1 MPa", "Eq 12", exactly(1.1), _deep_modulus),
+    Row("B56", "deep model modulus", "E = 1.1 MPa", "Eq 12", exactly(1.1), _setting(
+        "{:g} MPa", lambda _: (_default(viscoelastic_strain, "young_modulus") / 1e6,))),
     Row("B57", "cut-off", "E/η = 100 Hz", "Depth", rounded(100, digit=1), _cut_off),
-    Row("B58", "receptor depths", "1.2 and 2 mm", "S10", exactly(1.2, 2), _receptors),
+    Row("B58", "receptor depths", "1.2 and 2 mm", "S10", exactly(1.2, 2), _setting(
+        "{:g} and {:g} mm", lambda _: tuple(1000 * depth for depth in RECEPTOR_DEPTHS_M))),
     Row("B59", "deep stresses", "equation 11", "Eq 11", (), _deep_stresses),
     Row("B60", "stress gain", "20 %", "S10D", rounded(1.2, digit=0.1), _stress_gain),
     Row("B61", "strain gain", "20 % (text), almost 20 % (caption)", "S10F", rounded(1.2, digit=0.1), _strain_gain),

@@ -2,8 +2,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,35 +22,28 @@ TITLES = {
 }
 
 
-@dataclass(frozen=True)
-class PaperResults:
-    """Results of the reproduction of one paper: description of the simulated experiment, table rows, and figures."""
+def write_results(folder: Path, paper: str, about: str, rows: Sequence[Answer], figures: Sequence[DrawnFigure]) -> None:
+    """Write the results of a paper as `slip.json` or `press.json`, from which the page is made.
 
-    paper: str
-    about: str
-    rows: Sequence[Answer]
-    figures: Sequence[DrawnFigure]
-
-
-def write_results(found: PaperResults, folder: Path) -> None:
-    """Write the results of a paper as `slip.json` or `press.json`, from which the page is made."""
+    `about` describes the simulated experiment.
+    """
     content = {
-        "paper": found.paper,
-        "title": TITLES[found.paper],
-        "about": found.about,
+        "paper": paper,
+        "title": TITLES[paper],
+        "about": about,
         "version": __version__,
-        "rows": [one.as_json() for one in found.rows],
-        "figures": [asdict(one) for one in found.figures],
+        "rows": [asdict(one) for one in rows],
+        "figures": [asdict(one) for one in figures],
     }
     text = json.dumps(content, indent=1, ensure_ascii=False)
-    write_atomically(folder / f"{found.paper}.json", lambda part: part.write_text(text + "\n", encoding="utf-8"))
+    write_atomically(folder / f"{paper}.json", lambda part: part.write_text(text + "\n", encoding="utf-8"))
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
     """Return the results of each paper in a folder as a dictionary, with the number of rows per verdict in `counts`."""
     paths = [folder / f"{paper}.json" for paper in TITLES]
     found = [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
-    return [{**one, "counts": _counts(one["rows"])} for one in found]
+    return [{**one, "counts": dict(Counter(row["verdict"] for row in one["rows"]).most_common())} for one in found]
 
 
 def write_page(folder: Path) -> Path:
@@ -60,7 +53,3 @@ def write_page(folder: Path) -> Path:
     path = folder / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
-
-
-def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    return dict(Counter(row["verdict"] for row in rows).most_common())

@@ -5,6 +5,7 @@ Claims such as "no effect" agree where the same test, with participants as units
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from fingerflow.models.observer import auc, pearson, printed_observer, repeated_
 from fingerflow.models.observer.printed import BIN
 from fingerflow.report.simulated_presses import HIGH
 from fingerflow.report.supplement.of_observer import OBSERVED
-from fingerflow.report.trial_metrics import dots_of
 from fingerflow.reproduce.presses import DIVERGENCE_UNIT, PressStudy
 from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded, within
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
+from fingerflow.study.statistics import correlate_with_answers
 
 Values = NDArray[np.float64]
 _ALPHA = 0.05
@@ -28,9 +29,9 @@ _SMALL_UM = 1.0  # amplitudes up to which groups differ in print
 # Distributions over presses
 
 
-def _distribution(study: PressStudy, metric: str, unit: str, factor: float = 1.0) -> tuple[str, tuple[Interval, ...]]:
+def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple[Interval, ...]]:
     """Return mean ± SD of a metric over all presses as text, and the 95 % confidence intervals of both."""
-    values = factor * study.values(metric)
+    values = study.values(metric)
     values = values[np.isfinite(values)]
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     # Variance of a variance: (fourth moment - squared variance) / n, for any distribution.
@@ -45,27 +46,26 @@ def _forces(study: PressStudy) -> Obtained:
     text, numbers = _distribution(study, "max_force", "N")
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     return Obtained(
-        f"{low:.1f} to {high:.1f} N, {text}", ((low, low), (high, high), numbers[0]), _truth(study, "true_force", "N"),
+        f"{low:.1f} to {high:.1f} N, {text}", (*exactly(low, high), numbers[0]), _truth(study, "true_force", "N"),
         "a few presses differ in mean from many",
     )  # fmt: skip
 
 
-def _time_to_peak(study: PressStudy) -> Obtained:
-    text, numbers = _distribution(study, "time_to_max_force", "s")
-    return Obtained(text, numbers, _of(study.design.time_to_peak, "s"), _CHANCE)
-
-
 def _durations(study: PressStudy) -> Obtained:
-    values = study.values("duration")
+    values, (shortest, longest) = study.values("duration"), study.design.duration
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    truth = f"{study.design.duration[0]:g} to {study.design.duration[1]:g} s"
-    return Obtained(f"{low:.2f} to {high:.2f} s", ((low, low), (high, high)), truth, "frames round the duration")
+    truth, because = f"{shortest:g} to {longest:g} s", "frames round the duration"
+    return Obtained(f"{low:.2f} to {high:.2f} s", exactly(low, high), truth, because)
 
 
 def _force_rates(study: PressStudy) -> Obtained:
-    text, numbers = _distribution(study, "force_rate", "N/s")
     because = "forces outside of 1 to 18 N are drawn again, which narrows the distribution of rates"
-    return Obtained(text, numbers, _of(study.design.force_rate, "N/s"), because)
+    return _as_designed(study, "force_rate", "N/s", study.design.force_rate, because)
+
+
+def _as_designed(study: PressStudy, metric: str, unit: str, design: tuple[float, float], because: str) -> Obtained:
+    """Compare mean and standard deviation of a metric over all presses with those of the simulation's design."""
+    return Obtained(*_distribution(study, metric, unit), f"{design[0]:g} ± {design[1]:g} {unit}", because)
 
 
 def _global_displacements(study: PressStudy) -> Obtained:
@@ -73,13 +73,9 @@ def _global_displacements(study: PressStudy) -> Obtained:
     return Obtained(text, numbers, f"{_truth(study, 'true_displacement', 'mm')}, of the skin as a whole", _CHANCE)
 
 
-def _truth(study: PressStudy, column: str, unit: str, factor: float = 1.0) -> str:
-    values = factor * study.frame[column].to_numpy(float)
+def _truth(study: PressStudy, column: str, unit: str) -> str:
+    values = study.frame[column].to_numpy(float)
     return f"{np.nanmean(values):.3g} ± {np.nanstd(values, ddof=1):.2g} {unit}"
-
-
-def _of(pair: tuple[float, float], unit: str) -> str:
-    return f"{pair[0]:g} ± {pair[1]:g} {unit}"
 
 
 _CHANCE = "the presses of this study are few"
@@ -99,14 +95,6 @@ def _area(study: PressStudy, metric: str) -> Obtained:
         f"{truth.mean():.1f} ± {truth.std(ddof=1):.1f} mm²",
         "the median of a participant depends on the forces of the few presses",
     )
-
-
-def _apparent_area(study: PressStudy) -> Obtained:
-    return _area(study, "gross_contact_area")
-
-
-def _real_area(study: PressStudy) -> Obtained:
-    return _area(study, "real_contact_area")
 
 
 def _slopes(study: PressStudy) -> Obtained:
@@ -150,13 +138,12 @@ def _trends(study: PressStudy) -> Obtained:
         near = force <= 3
         if near.sum() > 3:
             shares.append(float(np.corrcoef(force[near], mean[near])[0, 1] ** 2))
+    because = "the apparent area of the chain falls a little as friction rises"
     return Obtained(
         f"apparent area at 3 N by amplitude: {_p(test.p)}; real area up to 3 N: R² of a line {min(shares):.2f} to "
         f"{max(shares):.2f}",
         agrees=test.p > _ALPHA and min(shares) > 0.9,
-        because=f"no test: {test.reason}"
-        if test.reason
-        else "the apparent area of the chain falls a little as friction rises",
+        because=f"no test: {test.reason}" if test.reason else because,
     )
 
 
@@ -210,19 +197,10 @@ def _rate_on_answers(study: PressStudy) -> Obtained:
     )
 
 
-def _correlate_with_answers(study: PressStudy, metric: str) -> Any:
-    """Return Spearman's correlation of a metric with the share of "more slippery" answers.
-
-    Each pair of values is the median metric and the share of one participant in one condition.
-    """
-    trials = study.sample.trials
-    values = study.column_of_sample(metric)
-    medians, shares, _, who = dots_of(trials, values)
-    return spearman(medians, shares, participants=who)
-
-
 def _unrelated(study: PressStudy, *metrics: str, because: str) -> Obtained:
-    found = {metric: _correlate_with_answers(study, metric) for metric in metrics}
+    """Test that metrics do not correlate with the share of "more slippery" answers."""
+    trials = study.sample.trials
+    found = {metric: correlate_with_answers(trials, study.column_of_sample(metric)) for metric in metrics}
     if unknown := [f"{_words(metric)}: {one.reason}" for metric, one in found.items() if not math.isfinite(one.value)]:
         return Obtained("", because=f"no coefficient of {'; '.join(unknown)}")
     text = "; ".join(
@@ -236,32 +214,8 @@ def _words(metric: str) -> str:
     return f"{own} difference" if metric.endswith(DIFFERENCE) else own
 
 
-def _displacement_on_answers(study: PressStudy) -> Obtained:
-    return _unrelated(study, "global_displacement", because="the displacement of the skin includes its spread")
-
-
-def _angle_on_answers(study: PressStudy) -> Obtained:
-    because = "the angle falls with friction by design, and so follows the answers"
-    return _unrelated(study, "force_angle" + DIFFERENCE, because=because)
-
-
-def _area_on_answers(study: PressStudy) -> Obtained:
-    because = "the real area falls with the amplitude by design, and so follows the answers"
-    return _unrelated(study, "real_contact_area" + DIFFERENCE, because=because)
-
-
-def _strain_on_answers(study: PressStudy) -> Obtained:
-    because = "strain and energy follow friction in the chain, and so follow the answers"
-    return _unrelated(study, "strain" + DIFFERENCE, "strain_energy" + DIFFERENCE, because=because)
-
-
-def _angle_by_amplitude(study: PressStudy) -> Obtained:
-    test = study.statistics["by_condition"]["force_angle"]
-    return Obtained(_anova_text(test), agrees=_has_effect(test), because=_CHANCE)
-
-
-def _energy_by_amplitude(study: PressStudy) -> Obtained:
-    test = study.statistics["by_condition"]["strain_energy"]
+def _by_amplitude(study: PressStudy, metric: str) -> Obtained:
+    test = study.statistics["by_condition"][metric]
     return Obtained(_anova_text(test), agrees=_has_effect(test), because=_CHANCE)
 
 
@@ -278,14 +232,6 @@ def _angle_at(study: PressStudy, place: int) -> Obtained:
         f"{study.design.angle[place]:g}° in the mean",
         _CHANCE,
     )
-
-
-def _angle_high(study: PressStudy) -> Obtained:
-    return _angle_at(study, 0)
-
-
-def _angle_low(study: PressStudy) -> Obtained:
-    return _angle_at(study, -1)
 
 
 # Strain and energy
@@ -469,36 +415,48 @@ def _curl(study: PressStudy) -> Obtained:
 
 
 ROWS: tuple[Row[PressStudy], ...] = (
-    Row("B5", "apparent contact area", "70.1 ± 4.5 mm²", "Friction modulation", within(70.1, 4.5), _apparent_area),
-    Row("B6", "real contact area", "23.7 ± 4.5 mm²", "Friction modulation", within(23.7, 4.5), _real_area),
+    Row("B5", "apparent contact area", "70.1 ± 4.5 mm²", "Friction modulation", within(70.1, 4.5),
+        partial(_area, metric="gross_contact_area")),
+    Row("B6", "real contact area", "23.7 ± 4.5 mm²", "Friction modulation", within(23.7, 4.5),
+        partial(_area, metric="real_contact_area")),
     Row("B7", "slope of real area against force, by α", "Spearman -0.28, p < 0.0001", "S1E, S1F",
         rounded(-0.28, digit=0.01), _slopes),
     Row("B8", "fall of real area", "38 %", "S1F", rounded(38, digit=1), _area_reduction),
     Row("B9", "area trends", "apparent: no effect of α; real: almost linear in force", "S1C to S1E", (), _trends),
     Row("B34", "normal force", "1 to 18 N, mean about 5.5 N", "S5B", ((1, 18), (1, 18), (5, 6)), _forces),
-    Row("B35", "time to peak force", "1.47 ± 0.39 s", "S5C", rounded(1.47, 0.39, digit=0.01), _time_to_peak),
+    Row("B35", "time to peak force", "1.47 ± 0.39 s", "S5C", rounded(1.47, 0.39, digit=0.01), lambda study:
+        _as_designed(study, "time_to_max_force", "s", study.design.time_to_peak, _CHANCE)),
     Row("B36", "trial duration", "1 to 2.5 s", "S5D", ((0.9, 2.6), (0.9, 2.6)), _durations),
     Row("B37", "effect on answers", "p = 0.31 (force), 0.99 (time), 0.91 (duration)", "S5E to S5G", (), _no_effects),
     Row("B38", "force rate", "3.6 ± 3 N/s", "S5H", (*rounded(3.6, digit=0.1), *rounded(3, digit=1)), _force_rates),
     Row("B39", "force rate on answers", "mixed model p = 0.018, α ≤ 2 µm", "S5I", (), _rate_on_answers),
     Row("B40", "global displacement", "0.08 ± 0.10 mm", "S7A", rounded(0.08, 0.10, digit=0.01), _global_displacements),
-    Row("B41", "its link to answers", "Spearman 0.14, p = 0.2", "S7C", (), _displacement_on_answers),
-    Row("B42", "force angle by α", "F(6,1593) = 67.9, p < 0.001", "S7B", (), _angle_by_amplitude),
-    Row("B43", "peak angle, high friction", "9.9° ± 4.9°", "S7B", within(9.9, 4.9), _angle_high),
-    Row("B44", "peak angle, low friction", "4.2° ± 2.1°", "S7B", within(4.2, 2.1), _angle_low),
-    Row("B45", "angle on answers", "Spearman 0.24, p = 0.03, not correlated", "S7D", (), _angle_on_answers),
-    Row("B46", "real area on answers", "Spearman -0.07, p = 0.49", "S7E", (), _area_on_answers),
+    Row("B41", "its link to answers", "Spearman 0.14, p = 0.2", "S7C", (), lambda study: _unrelated(
+        study, "global_displacement", because="the displacement of the skin includes its spread")),
+    Row("B42", "force angle by α", "F(6,1593) = 67.9, p < 0.001", "S7B", (),
+        partial(_by_amplitude, metric="force_angle")),
+    Row("B43", "peak angle, high friction", "9.9° ± 4.9°", "S7B", within(9.9, 4.9), partial(_angle_at, place=0)),
+    Row("B44", "peak angle, low friction", "4.2° ± 2.1°", "S7B", within(4.2, 2.1), partial(_angle_at, place=-1)),
+    Row("B45", "angle on answers", "Spearman 0.24, p = 0.03, not correlated", "S7D", (), lambda study: _unrelated(
+        study, "force_angle" + DIFFERENCE,
+        because="the angle falls with friction by design, and so follows the answers")),
+    Row("B46", "real area on answers", "Spearman -0.07, p = 0.49", "S7E", (), lambda study: _unrelated(
+        study, "real_contact_area" + DIFFERENCE,
+        because="the real area falls with the amplitude by design, and so follows the answers")),
     Row("B47", "strain curve", "all positive; inflection at 1 N; flat above 2 N", "S8E", (), _strain_curve),
     Row("B48", "force at peak strain rate", "0.37 ± 0.7 N", "S8F", within(0.37, 0.07), _force_of_peak_rate),
     Row("B49", "strain against divergence", "r = 0.78; y = 0.040 x - 0.225, R² = 0.61", "S8G",
         (*rounded(0.78, digit=0.01), *rounded(0.040, digit=0.001)), _strain_against_divergence),
     Row("B50", "strain energy", "0.32 ± 0.52 mJ", "S9B", within(0.32, 0.52), _energy),
-    Row("B51", "energy by α", "F(6,1481) = 3.2, p = 0.004", "Strain results", (), _energy_by_amplitude),
+    Row("B51", "energy by α", "F(6,1481) = 3.2, p = 0.004", "Strain results", (),
+        partial(_by_amplitude, metric="strain_energy")),
     Row("B52", "peak energy rate", "1.2 ± 0.2 mJ/s at 0.4 ± 0.1 N", "S9C", (*within(1.2, 0.2), *within(0.4, 0.1)),
         _peak_energy_rate),
     Row("B53", "energy over divergence", "slope 3.6 ± 2.3 mJ", "S9D", within(3.6, 2.3), _energy_slope),
     Row("B54", "strain rate on answers", "F(5,70) = 2.12, p = 0.023", "S8I", (), _rate_of_strain_on_answers),
-    Row("B55", "strain, energy differences on answers", "not correlated", "S8H, S9E", (), _strain_on_answers),
+    Row("B55", "strain, energy differences on answers", "not correlated", "S8H, S9E", (), lambda study: _unrelated(
+        study, "strain" + DIFFERENCE, "strain_energy" + DIFFERENCE,
+        because="strain and energy follow friction in the chain, and so follow the answers")),
     Row("B63", "normalisation, bins", "0.9 quantile; 0.05", "Observer", exactly(0.9, 0.05), _normalisation),
     Row("B64", "divergence criterion", f"13.1 {DIVERGENCE_UNIT} gives 75 % hits", "Observer", rounded(13.1, digit=0.1),
         _criterion),

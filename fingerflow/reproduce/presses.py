@@ -131,25 +131,21 @@ class PressStudy:
     def rates(self) -> Any:
         """Return a DataFrame of strain and energy rates against normal force, while the force rises.
 
-        Columns: metric, condition, press, participant, normal_force_N and rate.
-
-        Metrics are `strain_rate`, the mean of both directions, and `strain_energy_rate`; of 200 presses at most.
+        Columns: metric, condition, press, participant, normal_force_N and rate, of 200 presses at most. Metrics are
+        `strain_rate`, the mean of both directions, and `strain_energy_rate`.
         """
         import pandas as pd
 
         parts = []
-        for entry in self.evenly_spaced(_PEAKS):
-            result = self.result_of(entry)
-            if result is None:
-                continue
+        for entry, result in self.evenly_spaced(_PEAKS):
             force = np.asarray(result["normal_force"], dtype=float)
             strain = np.asarray(result["median_strain_rate"], dtype=float)[:, :2].mean(1)
             energy = np.asarray(result["strain_energy_rate"], dtype=float)
             rising = np.isfinite(force) & (np.arange(force.size) <= np.nanargmax(force))
             for metric, rate in (("strain_rate", strain), ("strain_energy_rate", energy)):
                 known = rising & np.isfinite(rate)
-                columns = {"metric": metric, "condition": float(entry.condition), "press": entry.name}
-                columns["participant"] = entry.participant
+                columns = {"metric": metric, "condition": float(entry.condition)}
+                columns |= {"press": entry.name, "participant": entry.participant}
                 parts.append(pd.DataFrame({"normal_force_N": force[known], "rate": rate[known], **columns}))
         return pd.concat(parts, ignore_index=True)
 
@@ -195,10 +191,7 @@ class PressStudy:
         An error is the measured value minus the simulated truth. T is at most 8; divergence has no unit.
         """
         moved, spread = [], []
-        for entry in self.evenly_spaced(_TRUTHS):
-            result = self.result_of(entry)
-            if result is None:
-                continue
+        for entry, result in self.evenly_spaced(_TRUTHS):
             frame = int(np.nanargmax(result["normal_force"]))
             truth = self.truth_of(entry).truth.medians(frame)
             displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
@@ -239,34 +232,28 @@ class PressStudy:
         Raises FingerflowError if no participant has both.
         """
         frame = self.measured[self.measured["max_force"] >= _LEAST_N]
-        least, most = min(self.design.amplitudes), max(self.design.amplitudes)
-        best: tuple[float, Any, Any] | None = None
-        for _, own in frame.groupby("participant"):
-            still, vibrating = own[own["condition"] == least], own[own["condition"] == most]
-            for _, one in still.iterrows():
-                for _, other in vibrating.iterrows():
-                    apart = abs(one["max_force"] - other["max_force"])
-                    if best is None or apart < best[0]:
-                        best = apart, one, other
-        if best is None:
-            raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
-        return self._typical(best[1]), self._typical(best[2])
-
-    def _typical(self, row: Any) -> "TypicalPress":
-        entry = next(
-            one
-            for one in self.manifest.trials
-            if (one.participant, one.trial) == (row["participant"], row["trial"])
-            and float(one.condition) == row["condition"]
+        still, vibrating = (
+            frame[frame["condition"] == one] for one in (min(self.design.amplitudes), max(self.design.amplitudes))
         )
+        pairs = still.merge(vibrating, on="participant", suffixes=("", "_vibrating"))
+        if pairs.empty:
+            raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
+        best = pairs.loc[(pairs["max_force"] - pairs["max_force_vibrating"]).abs().idxmin()]
+        high, low = (self._typical(best["participant"], best[trial]) for trial in ("trial", "trial_vibrating"))
+        return high, low
+
+    def _typical(self, participant: str, trial: str) -> "TypicalPress":
+        entry = next(one for one in self.manifest.trials if (one.participant, one.trial) == (participant, trial))
         result = self.result_of(entry)
         assert result is not None
         return TypicalPress(result, self.manifest.scene_of(entry))
 
-    def evenly_spaced(self, most: int) -> Iterator[TrialEntry]:
-        """Yield at most `most` presses, evenly spaced in the list of all."""
+    def evenly_spaced(self, most: int) -> Iterator[tuple[TrialEntry, xr.Dataset]]:
+        """Yield at most `most` presses, evenly spaced in the list of all, with their results."""
         step = max(1, len(self.manifest.trials) // most)
-        yield from self.manifest.trials[::step][:most]
+        for entry in self.manifest.trials[::step][:most]:
+            if (result := self.result_of(entry)) is not None:
+                yield entry, result
 
 
 def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True) -> PressStudy:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 Interval = tuple[float, float]
@@ -15,7 +15,7 @@ _TWO_SIDED = 1.96  # standard deviations of an interval of 95 %
 
 @dataclass(frozen=True)
 class Obtained:
-    """Reproduced result: text, intervals of its numbers, and simulated truth.
+    """Reproduced result of a printed one: values as text and as intervals, true values, and reasons for differences.
 
     Attributes:
         text: values with units and deviations; empty where nothing can be obtained.
@@ -39,7 +39,7 @@ class Row(Generic[Source]):
     Attributes:
         id: of the list of printed results.
         quantity: what was printed.
-        printed: its value as text; empty where none is printed.
+        printed: its value as text; empty if none is printed.
         where: section or figure.
         numbers: intervals of the printed numbers: deviations where they are printed, otherwise the rounding.
         obtain: computes the result.
@@ -87,10 +87,6 @@ class Answer:
     truth: str
     verdict: str
     because: str
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the row as a dictionary of strings, for JSON."""
-        return asdict(self)
 
 
 def exactly(*values: float) -> tuple[Interval, ...]:

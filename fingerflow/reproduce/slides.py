@@ -64,10 +64,9 @@ class Slides:
 def design_slides() -> dict[str, LinearSlip]:
     """Return the ten simulated slides by folder name.
 
-    The stick region collapses in four of them and fades in four; in two the tangential force is unsteady.
-
-    A folder is participant and trial; friction, forces, sizes and skin differ from slide to slide. The stuck area of
-    those that collapse falls in a straight line with the load, as the paper saw no parabolic decay.
+    The stick region collapses in four of them and fades in four; in two the tangential force is unsteady. A folder is
+    participant and trial; friction, forces, sizes and skin differ from slide to slide. The stuck area of those that
+    collapse falls in a straight line with the load, as the paper saw no parabolic decay.
     """
     sets = [*((ABRUPT, *pair) for pair in _COLLAPSES), *((FADING, 0.0, _FADE_S),) * 4, *((UNSTEADY, 0.2, 0.2),) * 2]
     return {

@@ -5,6 +5,7 @@ The model's equations are checked by quadrature and root finding, written here f
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +14,9 @@ from scipy.optimize import brentq, minimize_scalar
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, friction_ratio, load_ratio
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
-from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA
+from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
 from fingerflow.recordings import open_forces
-from fingerflow.reproduce.printed_row import (
-    Interval,
-    Obtained,
-    Row,
-    exactly,
-    likely,
-    number,
-    rounded,
-)
+from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded
 from fingerflow.reproduce.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
 
 Values = NDArray[np.float64]
@@ -53,42 +46,48 @@ def _with(counts: tuple[int, ...]) -> str:
     return f"{counts[0]} with, {counts[1]} without, {counts[2]} inconclusive"
 
 
-def _critical(slides: Slides) -> list[JudgedSlide]:
+def _abrupt(slides: Slides) -> list[JudgedSlide]:
     """Return the slides whose stuck area vanishes abruptly, in ascending order of the critical stuck area."""
     found = [one for one in slides.slides if one.trial.verdict.outcome == EXPECTED[ABRUPT]]
     return sorted(found, key=lambda one: one.trial.verdict.critical_area)
 
 
 def _critical_areas(slides: Slides) -> Obtained:
-    found = [one.trial.verdict for one in _critical(slides)]
-    if not found:
-        return Obtained("", because="no slide was judged to vanish abruptly")
-    ends = found[0], found[-1]
-    text = " to ".join(number(one.critical_area, one.critical_area_std) for one in ends)
-    printed = [one.corridor_area for one in found]
-    return Obtained(
-        f"{text}; largest value in the corridor {min(printed):.2f} to {max(printed):.2f}",
-        tuple(likely(one.critical_area, one.critical_area_std) for one in ends),
+    printed = [one.trial.verdict.corridor_area for one in _abrupt(slides)]
+    return _least_and_largest(
+        slides,
+        lambda verdict: (verdict.critical_area, verdict.critical_area_std),
+        f"; largest value in the corridor {_ends(printed)}",
         _ends([one.truth.last for one in slides.of(ABRUPT)]),
-        "the fitted area is off by more than its deviation",
     )
 
 
 def _extents(slides: Slides) -> Obtained:
-    found = [one.trial.verdict for one in _critical(slides)]
+    def extent(verdict: TrialVerdict) -> tuple[float, float]:
+        return 100 * verdict.critical_extent, 100 * (verdict.critical_area_std / (2 * verdict.critical_extent))
+
+    truth = _ends([100 * math.sqrt(one.truth.last) for one in slides.of(ABRUPT)], 1)
+    return _least_and_largest(slides, extent, " %", f"{truth} %")
+
+
+def _least_and_largest(
+    slides: Slides, measured: Callable[[TrialVerdict], tuple[float, float]], more: str, truth: str
+) -> Obtained:
+    """Return a value of the slides with the least and with the largest critical area; `measured` gives value and SD."""
+    found = _abrupt(slides)
     if not found:
         return Obtained("", because="no slide was judged to vanish abruptly")
-    ends = [(one.critical_extent, one.critical_area_std / (2 * one.critical_extent)) for one in (found[0], found[-1])]
+    ends = [measured(one.trial.verdict) for one in (found[0], found[-1])]
     return Obtained(
-        " to ".join(number(100 * value, 100 * deviation) for value, deviation in ends) + " %",
-        tuple(likely(100 * value, 100 * deviation) for value, deviation in ends),
-        f"{_ends([100 * math.sqrt(one.truth.last) for one in slides.of(ABRUPT)], 1)} %",
+        " to ".join(number(*one) for one in ends) + more,
+        tuple(likely(*one) for one in ends),
+        truth,
         "the fitted area is off by more than its deviation",
     )
 
 
 def _durations(slides: Slides) -> Obtained:
-    found = sorted((one.trial.verdict.collapse_ms, one.trial.verdict.collapse_ms_std, one) for one in _critical(slides))
+    found = sorted((one.trial.verdict.collapse_ms, one.trial.verdict.collapse_ms_std, one) for one in _abrupt(slides))
     truth = ", ".join(f"{1000 * one.truth.collapse:.0f}" for *_, one in found)
     text = ", ".join(number(value, deviation) for value, deviation, _ in found)
     printed = ", ".join(f"{one.trial.verdict.corridor_ms:.0f}" for *_, one in found)
@@ -102,13 +101,8 @@ def _durations(slides: Slides) -> Obtained:
     )  # fmt: skip
 
 
-def _corridor(_: Slides) -> Obtained:
-    return Obtained(f"±{100 * CORRIDOR:g} %", exactly(CORRIDOR))
-
-
 def _existence(slides: Slides) -> Obtained:
-    found = [one.trial.verdict.corridor_area for one in slides.of(FADING)]
-    inside = [value for value in found if math.isfinite(value)]
+    inside = [area for one in slides.of(FADING) if math.isfinite(area := one.trial.verdict.corridor_area)]
     text = f"d² > {SMALLEST_AREA:g}; largest d² in the corridor of the fading slides {_ends(inside)}"
     return Obtained(text, exactly(SMALLEST_AREA))
 
@@ -194,11 +188,9 @@ def _pressure_integral(_: Slides) -> Obtained:
 
 def _traction_jump(_: Slides) -> Obtained:
     stuck = 0.4
-    edge = math.sqrt(stuck)
-    inside, outside = _traction(np.array([edge - 1e-12, edge + 1e-12]), stuck)
-    return _equal(
-        "the traction jumps by the factor μs/μk at the border", abs(inside / outside * _KINETIC / _STATIC - 1)
-    )
+    inside, outside = _traction(math.sqrt(stuck) + np.array([-1e-12, 1e-12]), stuck)
+    error = abs(inside / outside * _KINETIC / _STATIC - 1)
+    return _equal("the traction jumps by the factor μs/μk at the border", error)
 
 
 def _static_limit(_: Slides) -> Obtained:
@@ -229,21 +221,18 @@ def _law(_: Slides) -> Obtained:
 def _fold(_: Slides) -> Obtained:
     found = minimize_scalar(lambda area: -float(load_ratio(area, _STATIC, _KINETIC)), bounds=(0, 1), method="bounded",
                             options={"xatol": 1e-10})  # fmt: skip
-    return _equal(
-        f"{found.x:.4f} at the largest load (search)", abs(found.x - float(critical_stuck_area(_STATIC, _KINETIC)))
-    )
+    error = abs(found.x - float(critical_stuck_area(_STATIC, _KINETIC)))
+    return _equal(f"{found.x:.4f} at the largest load (search)", error)
 
 
 def _inversion(_: Slides) -> Obtained:
-    true = _KINETIC / _STATIC
     area = float(critical_stuck_area(_STATIC, _KINETIC))
     solved = brentq(lambda ratio: float(critical_stuck_area(1.0, ratio)) - area, 1e-6, 1 - 1e-6, xtol=1e-12)
     printed = (1 - area) / (2 - area)
-    ours = float(friction_ratio(area))
     return Obtained(
-        f"{ours:.3f} by (1 - 2 d²)/(1 - d²), {solved:.3f} by a root of A17, {printed:.3f} as printed, "
-        f"for d² = {area:.3f}",
-        truth=f"{true:.3f}",
+        f"{float(friction_ratio(area)):.3f} by (1 - 2 d²)/(1 - d²), {solved:.3f} by a root of A17, {printed:.3f} as "
+        f"printed, for d² = {area:.3f}",
+        truth=f"{_KINETIC / _STATIC:.3f}",
         because="the printed expression does not solve the line above it",
         agrees=abs(printed - solved) < _EXACT,
     )
@@ -316,7 +305,8 @@ ROWS: tuple[Row[Slides], ...] = (
     Row("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
     Row("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
     Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
-    Row("A6", "corridor", "±5 %", "2b", exactly(0.05), _corridor),
+    Row("A6", "corridor", "±5 %", "2b", exactly(0.05),
+        lambda _: Obtained(f"±{100 * CORRIDOR:g} %", exactly(CORRIDOR))),
     Row("A7", "existence threshold", "d² > 0.05", "2b", exactly(0.05), _existence),
     Row("A8", "stuck threshold", "< 40 µm (one pixel)", "1", exactly(40, 40), _threshold),
     Row("A9", "d² measured", "", "1", (), _measured),

@@ -70,9 +70,8 @@ def view_of(scene: Scene, name: str, frame: int) -> Picture:
 def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | None = None) -> NDArray[np.bool_]:
     """Return the mask of pixels in which the skin touches the glass in a frame.
 
-    There, the frame is darker than the threshold of the result, relative to a frame of the empty glass.
-
-    The median is that of the scene, unless `median_px` states another.
+    There, the frame is darker than the threshold of the result, relative to a frame of the empty glass. The median is
+    that of the scene, unless `median_px` states another.
     """
     light = _empty(scene)
     share = view_of(scene, "contact", frame) / np.maximum(light, 1e-6)

@@ -15,6 +15,7 @@ from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.file_checks import check_file, reading
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
+from fingerflow.results.store import indexed_by_time
 
 _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
@@ -54,7 +55,12 @@ def is_result(path: Path) -> bool:
 
 
 def open_result(path: Path) -> xr.Dataset:
-    """Open a result file without loading values, which are read on access; close the data set after use."""
+    """Open a result without loading values, which are read on access; close the data set after use.
+
+    It is a file of `process`, or a Zarr store that `fingerflow export-table` has written.
+    """
+    if path.suffix == ".zarr":
+        return open_own(path)
     check_file(path)
     check_in_child_process(path, "hdf5")
     return open_own(path)
@@ -91,7 +97,8 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
 def open_own(path: Path) -> xr.Dataset:
     """Open a result file that this process itself wrote, without the checks for damage of :func:`open_result`."""
     try:
-        result = xr.open_dataset(path, engine="h5netcdf")
+        store: dict[str, Any] = {"engine": "zarr", "consolidated": False} if path.suffix == ".zarr" else {}
+        result = xr.open_dataset(path, **{"engine": "h5netcdf", **store})
     except Exception as error:  # a damaged file may raise any exception
         raise FingerflowError(
             f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"
@@ -102,7 +109,7 @@ def open_own(path: Path) -> xr.Dataset:
             f"{path} is not a result of fingerflow: it does not state a {MARK}; name the file that `fingerflow "
             "process` wrote"
         )
-    return result
+    return indexed_by_time(result)
 
 
 def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:

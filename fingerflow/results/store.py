@@ -121,7 +121,12 @@ class MemoryStore(Store):
         used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
         coordinates = {"time": (TIME.dims, time, TIME.attributes()), "frame": frame}
         labels = {name: list(labels) for name, labels in LABELS.items() if name in used}
-        self.dataset = xr.Dataset(self._arrays, {**coordinates, **labels}, dict(attributes))
+        self.dataset = indexed_by_time(xr.Dataset(self._arrays, {**coordinates, **labels}, dict(attributes)))
+
+
+def indexed_by_time(result: xr.Dataset) -> xr.Dataset:
+    """Return a result whose frames are also selected by time: ``result.sel(time=0.25, method="nearest")``."""
+    return result.set_xindex("time") if "time" in result.coords else result
 
 
 class FileStore(Store):

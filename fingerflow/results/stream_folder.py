@@ -20,7 +20,7 @@ from fingerflow.errors import PlayerError, first_line
 from fingerflow.results.patient_file import PatientFile
 from fingerflow.schema.unfinished import finish, remove, unfinished
 from fingerflow.schema.variable_record import LABELS
-from fingerflow.schema.variables import FRAME
+from fingerflow.schema.variables import FRAME, shown_unit
 
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
@@ -74,11 +74,12 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
     columns: dict[str, Array] = {}
     for one in header["fields"]:
         name, dims = one["name"], tuple(one["dims"])
-        unit = f" ({one['unit']})" if one["unit"] else ""
+        unit = shown_unit(name, str(one["unit"]))
         if dims == FRAME:
-            columns[name + unit] = records[name]
+            columns[unit.heading(name)] = unit.factor * records[name]
         elif len(dims) == 2 and dims[1] in LABELS:
-            columns |= {f"{name}_{part}{unit}": records[name][:, i] for i, part in enumerate(LABELS[dims[1]])}
+            parts = enumerate(LABELS[dims[1]])
+            columns |= {unit.heading(f"{name}_{part}"): unit.factor * records[name][:, i] for i, part in parts}
     table = Path(table)
     part = unfinished(table)
     try:

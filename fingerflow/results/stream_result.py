@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.results.store import indexed_by_time
 from fingerflow.results.stream_folder import StreamResults, read_results
 from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TIME, TRACKING, by_name
@@ -52,7 +53,7 @@ def _labelled(results: StreamResults) -> xr.Dataset:
         "frame": np.array(results.records["frame"]),
         **{name: list(labels) for name, labels in LABELS.items() if name in used},
     }
-    return xr.Dataset(variables, coords=coordinates, attrs=_about(results.header))
+    return indexed_by_time(xr.Dataset(variables, coords=coordinates, attrs=_about(results.header)))
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:

@@ -104,6 +104,31 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True)
+class NoiseFloor:
+    """Standard deviations of a displacement component, the divergence and a strain component in still frames.
+
+    They hold for the window and the gauge length with which they were measured.
+    """
+
+    displacement_mm: float
+    divergence: float
+    strain: float
+    window_px: float
+    gauge_length_mm: float
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """Settings [rig]: hardware that a recording does not state, and the measured noise floor, for the report."""
+
+    camera: str | None
+    lens: str | None
+    aperture: float | None
+    stand_off_mm: float | None
+    noise_floor: NoiseFloor | None
+
+
+@dataclass(frozen=True)
 class ContactSettings:
     """Settings [contact]: segmentation of the real and of the apparent (gross) contact."""
 
@@ -184,6 +209,7 @@ class Scene:
     views: Views
     background: BackgroundSettings
     calibration: CalibrationSettings
+    rig: RigSettings
     forces: ForceSettings | None
     contact: ContactSettings
     tracking: TrackingSettings
@@ -296,7 +322,7 @@ def _without_none(value: Any) -> Any:
 
 def _scene(path: Path, checked: Checked) -> Scene:
     found = checked.values
-    region, forces = found["stream"]["region"], found["forces"]
+    region, forces, floor = found["stream"]["region"], found["forces"], found["rig"]["noise_floor"]
     views = {name: _view(view) for name, view in found["views"].items() if view is not None}
     return Scene(
         path=path,
@@ -305,6 +331,7 @@ def _scene(path: Path, checked: Checked) -> Scene:
         views=Views(views),
         background=BackgroundSettings(**found["background"]),
         calibration=CalibrationSettings(**found["calibration"]),
+        rig=RigSettings(**{**found["rig"], "noise_floor": None if floor is None else NoiseFloor(**floor)}),
         forces=None if forces is None else ForceSettings(**forces),
         contact=ContactSettings(**found["contact"]),
         tracking=TrackingSettings(**found["tracking"]),

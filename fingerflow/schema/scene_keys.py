@@ -337,6 +337,30 @@ SCENE: dict[str, SceneKey | SceneTable] = {
         },
         "player of a deployment bundle",
     ),
+    "rig": SceneTable(
+        {
+            "camera": SceneKey(Text(), "maker and model", sample="maker, model"),
+            "lens": SceneKey(Text(), "maker, focal length or magnification", sample="maker, 100 mm macro"),
+            "aperture": SceneKey(POSITIVE, "f-number that the lens was set to", sample=8.0),
+            "stand_off_mm": SceneKey(POSITIVE, "from the glass to the front of the lens", sample=300.0),
+            "noise_floor": SceneTable(
+                {
+                    "displacement_mm": SceneKey(NumberType(least=0), "of a component of the displacement of a point",
+                        needed_by=BOTH, unit="mm"),
+                    "divergence": SceneKey(NumberType(least=0), "of the divergence at a point", needed_by=BOTH),
+                    "strain": SceneKey(NumberType(least=0), "of a component of the strain of a triangle",
+                        needed_by=BOTH),
+                    "window_px": SceneKey(POSITIVE, "tracking.window_px with which it was measured", needed_by=BOTH),
+                    "gauge_length_mm": SceneKey(POSITIVE, "fields.gauge_length_mm with which it was measured",
+                        needed_by=BOTH),
+                },
+                "standard deviations in still frames, as `fingerflow noise-floor` prints them",
+                sample={"displacement_mm": 0.0005, "divergence": 0.001, "strain": 0.001, "window_px": 25,
+                    "gauge_length_mm": 1.6},
+            ),
+        },
+        "what the recording cannot tell and the report states; it changes no result",
+    ),
 }  # fmt: skip
 
 

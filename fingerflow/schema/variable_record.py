@@ -1,6 +1,7 @@
 """Define a result variable, and the unit in which figures and reports show it."""
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,23 +16,33 @@ LABELS = {
 }
 
 
+#: Environment variable that, if "1", shows in % what is otherwise shown in µm/mm. The button of the page sets it.
+IN_PERCENT = "FINGERFLOW_PERCENT"
+
+
 @dataclass(frozen=True)
 class ShownUnit:
-    """Unit in which figures, reports and web pages show a variable, where it differs from the unit in the data set.
+    """Unit in which figures, reports, web pages and exported tables show a variable.
 
     Attributes:
         name: as it is printed; "" if dimensionless.
         factor: from the unit of the data set to this one.
         decimals: digits after the point that a live page shows.
+        percent: unit in % that takes its place on request (`IN_PERCENT`), or None.
     """
 
     name: str
     factor: float = 1.0
     decimals: int = 2
+    percent: "ShownUnit | None" = None
+
+    def heading(self, words: str) -> str:
+        """Return a label or the name of a column, followed by the unit in brackets."""
+        return f"{words} ({self.name})" if self.name else words
 
 
-UM_PER_MM, UM_PER_MM_S = ShownUnit("µm/mm", 1e3, 1), ShownUnit("µm/mm/s", 1e3, 1)
 PERCENT, PERCENT_PER_S = ShownUnit("%", 100.0, 1), ShownUnit("%/s", 100.0, 1)
+UM_PER_MM, UM_PER_MM_S = ShownUnit("µm/mm", 1e3, 1, PERCENT), ShownUnit("µm/mm/s", 1e3, 1, PERCENT_PER_S)
 MICROMETRE, MICROJOULE, MILLISECOND = ShownUnit("µm", 1e3, 1), ShownUnit("µJ/mm³", 1e3, 3), ShownUnit("ms", 1e3, 2)
 _BY_UNIT = {
     "1": ShownUnit("", decimals=3),
@@ -84,8 +95,9 @@ class Variable:
 
     @property
     def shown_unit(self) -> ShownUnit:
-        """Return the unit in which figures and reports show the variable."""
-        return self.shown_in or _BY_UNIT.get(self.units) or ShownUnit(self.units)
+        """Return the unit in which figures, reports, pages and exported tables show the variable."""
+        unit = self.shown_in or _BY_UNIT.get(self.units) or ShownUnit(self.units)
+        return unit.percent if unit.percent and os.environ.get(IN_PERCENT) == "1" else unit
 
     @property
     def axis_label(self) -> str:
@@ -98,13 +110,14 @@ class Variable:
 
     def with_unit(self, words: str) -> str:
         """Return a label followed by the shown unit in brackets."""
-        unit = self.shown_unit.name
-        return f"{words} ({unit})" if unit else words
+        return self.shown_unit.heading(words)
 
     def shown(self) -> dict[str, object]:
-        """Return what a web page needs to show the variable: label, unit, conversion factor and decimals."""
+        """Return what a web page needs to show the variable: label, unit, factor, decimals, and the unit in %."""
         unit = self.shown_unit
-        return {"label": self.words, "unit": unit.name, "factor": unit.factor, "decimals": unit.decimals}
+        percent = unit.percent and {"unit": unit.percent.name, "factor": unit.percent.factor}
+        of_unit = {"unit": unit.name, "factor": unit.factor, "decimals": unit.decimals, "percent": percent}
+        return {"label": self.words, **of_unit}
 
     def attributes(self) -> dict[str, object]:
         """Return the data set attributes of the variable by the CF conventions: units, definition and flag meanings."""

@@ -17,6 +17,7 @@ from fingerflow.schema.variable_record import (
     PERCENT_PER_S,
     UM_PER_MM,
     UM_PER_MM_S,
+    ShownUnit,
     Variable,
 )
 
@@ -188,6 +189,14 @@ TRACKING = (
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
         "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame",
         label="standard deviation of the position",
+    ),
+    Variable(
+        "subset_correlation", FRAME_POINT, "1",
+        "correlation of the window (subset) of a point with that in which it was seeded, as of the last check, one in "
+        "every eight frames",
+        "f4",
+        equation="ρ = Σ_w (I − Ī)(T − T̄) / √(Σ_w (I − Ī)² Σ_w (T − T̄)²), I the window deformed as the skin around it",
+        shown_in=PERCENT,
     ),
     Variable(
         "forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4",
@@ -543,3 +552,8 @@ VARIABLES: dict[str, Variable] = by_name(
     (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, SENSOR_SLIP,
     STREAM,
 )  # fmt: skip
+
+
+def shown_unit(name: str, units: str) -> ShownUnit:
+    """Return the unit in which a variable is shown; one that is not defined here is shown in its own `units`."""
+    return VARIABLES.get(name, Variable(name, (), units, "")).shown_unit

@@ -36,10 +36,10 @@ def cores() -> int:
 
 
 def run_on_workers(
-    act: Callable[[Task], Result],
+    function: Callable[[Task], Result],
     tasks: Iterable[tuple[str, Task]],
     count: int,
-    of_error: Callable[[str, BaseException], Result],
+    result_of_error: Callable[[str, BaseException], Result],
     scheduler: str | None = None,
     workers: int | None = None,
     progress: bool = True,
@@ -48,10 +48,10 @@ def run_on_workers(
     """Run a function on tasks, on the workers of a cluster, and yield the results as they complete.
 
     Args:
-        act: function of a module that a worker runs.
+        function: of a module, so that a worker can run it.
         tasks: (name, task) with unique names; consumed as capacity becomes free.
         count: number of trials, by default one per task.
-        of_error: returns the result for a task that has raised, or whose workers were killed repeatedly.
+        result_of_error: returns the result for a task that has raised, or whose workers were killed repeatedly.
         scheduler, workers: as in `run_study`.
         progress: show a bar with the remaining time.
         trials_of: returns the number of trials in a result.
@@ -68,7 +68,7 @@ def run_on_workers(
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
             with _client(scheduler, many, threads_each(scheduler, many)) as client:
-                for result in _go_through(client, act, of_round, of_error):
+                for result in _run_tasks(client, function, of_round, result_of_error):
                     bar.update(trials_of(result))
                     yield result
 
@@ -83,11 +83,11 @@ def threads_each(scheduler: str | None, workers: int) -> int:
     return max(1, cores() // workers) if scheduler is None else 1
 
 
-def _go_through(
+def _run_tasks(
     client: Any,
-    act: Callable[[Task], Result],
+    function: Callable[[Task], Result],
     tasks: Iterator[tuple[str, Task]],
-    of_error: Callable[[str, BaseException], Result],
+    result_of_error: Callable[[str, BaseException], Result],
 ) -> Iterator[Result]:
     from distributed import as_completed
 
@@ -95,7 +95,7 @@ def _go_through(
 
     def submit(name: str, task: Task) -> Any:
         # One group name for all tasks: a scheduler never discards the statistics of a group.
-        future = client.submit(act, task, key=f"trial-{os.getpid()}-{name}", pure=False)
+        future = client.submit(function, task, key=f"trial-{os.getpid()}-{name}", pure=False)
         names[future.key] = name
         return future
 
@@ -106,7 +106,7 @@ def _go_through(
                 if future.status == "finished":
                     yield future.result()
                 elif future.status == "error":
-                    yield of_error(names[future.key], future.exception())
+                    yield result_of_error(names[future.key], future.exception())
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
@@ -134,7 +134,7 @@ class _Workers:
         self._threads: int = sum(client.nthreads().values())
 
     def __enter__(self) -> "_Workers":
-        Thread(target=self._look, name="workers", daemon=True).start()
+        Thread(target=self._watch, name="workers", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -144,7 +144,7 @@ class _Workers:
         """Return the number of tasks that may be queued on the workers at a time."""
         return max(2, _IN_FLIGHT * self._threads)
 
-    def _look(self) -> None:
+    def _watch(self) -> None:
         said = False
         while not self._ended.wait(_LOOK):
             try:

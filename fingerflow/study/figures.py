@@ -32,8 +32,8 @@ _AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which show
 _MOST_NAMED = 12  # most conditions in a legend
 
 
-class Figured(NamedTuple):
-    """Outcome for one figure of a study: name, image file ("" if not drawn), caption, and panels left out."""
+class StudyFigure(NamedTuple):
+    """Figure of a study: name, image file ("" if not drawn), caption, and messages on panels that were left out."""
 
     name: str
     file: str
@@ -48,7 +48,7 @@ def write_figures(
     folder: Path,
     design: str = FORCED_CHOICE,
     files: FigureFiles = PNG,
-) -> list[Figured]:
+) -> list[StudyFigure]:
     """Draw and write the figures of a study with captions, and return the outcome for each figure.
 
     Args:
@@ -83,16 +83,16 @@ def write_figures(
             and (sample.answered or (of_answers is not None and panel.letter not in of_answers))
         ]
         drawn = {letter: metric for letter, metric in _CURVES.get(name, ()) if (curves["metric"] == metric).any()}
-        panels += [_curve_panel(letter, curves, metric) for letter, metric in drawn.items()]
+        panels += [SheetPanel.of_axes(letter, draw_curves, curves, metric) for letter, metric in drawn.items()]
         left_out = [said for said in sheet.left_out if not _is_replaced(said, drawn)]
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
-            written.append(Figured(name, "", "", tuple(left_out)))
+            written.append(StudyFigure(name, "", "", tuple(left_out)))
             continue
         ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
         figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
         files.save(figure, folder, name)
-        written.append(Figured(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
+        written.append(StudyFigure(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
     return written
 
 
@@ -107,7 +107,8 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     for condition, style in zip(conditions, line_styles(len(conditions), ordered=True), strict=True):
         part = own[own["condition"] == condition]
         force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
-        axes.plot(force, mean, label=_named(condition) if len(conditions) <= _MOST_NAMED else None, **style)
+        label = f"{condition:g}" if isinstance(condition, float) else str(condition)
+        axes.plot(force, mean, label=label if len(conditions) <= _MOST_NAMED else None, **style)
         low, high = shown.shown_values(part["low"]), shown.shown_values(part["high"])
         axes.fill_between(force, low, high, color=style["color"], alpha=0.15, linewidth=0)
     low, high = axes.get_ylim()
@@ -121,14 +122,6 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     )
     named = bool(axes.get_legend_handles_labels()[0])
     return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)
-
-
-def _named(condition: object) -> str:
-    return f"{condition:g}" if isinstance(condition, float) else str(condition)
-
-
-def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
-    return SheetPanel(letter, lambda part: draw_curves(part.subplots(), curves, metric))
 
 
 def _is_replaced(said: str, drawn: Mapping[str, str]) -> bool:

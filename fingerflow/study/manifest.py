@@ -125,10 +125,12 @@ def load_manifest(path: str | Path) -> Manifest:
         rows = read_rows(table)
         places = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
     else:
-        rows = _matches(path, study["pattern"], study.get("forces"))
+        rows = _rows_of_pattern(path, study["pattern"], study.get("forces"))
         places = [f"{path}, {row[RECORDING]}" for row in rows]
     if "answers" in study:
-        _add_answers(rows, path.parent / study["answers"])
+        for row, found in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
+            row.update({name: value for name, value in found.items() if not row.get(name)})
+            row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
     return Manifest(path, results, shared, _entries(rows, places, path), design)
 
@@ -156,14 +158,8 @@ def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str,
     return [known.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
 
 
-def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
-    for row, found in zip(rows, matching(rows, answers), strict=True):
-        row.update({name: value for name, value in found.items() if not row.get(name)})
-        row.setdefault(ANSWER, "")
-
-
-def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return the values of the names in braces for each file that matches a pattern, sorted by file name."""
+def _rows_of_pattern(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
+    """Return a row for each file that matches a pattern, with the values of its names in braces, sorted by file."""
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()
@@ -242,7 +238,7 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
             f"nothing where there is no answer"
         )
     settings = {_KEY_OF[name]: row[name] for name in _KEY_OF if row.get(name)}
-    settings |= {name: _value(cell) for name, cell in row.items() if "." in name and cell}
+    settings |= {name: _parse_cell(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
@@ -269,7 +265,7 @@ def _check_key(dotted: str, place: str) -> None:
         known = table.keys if isinstance(table, SceneTable) else {}
 
 
-def _value(cell: str) -> Any:
+def _parse_cell(cell: str) -> Any:
     """Parse a cell of the table of trials as a TOML value; a cell that is no TOML value stays text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]

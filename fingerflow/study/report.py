@@ -39,7 +39,7 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Metric in which a trial deviates most from its condition, and the deviation in robust standard deviations."""
+    """Largest deviation of a trial from the median of its condition, in robust standard deviations, and its metric."""
 
     deviations: float
     metric: str
@@ -120,7 +120,7 @@ def write_page(manifest: Manifest) -> str:
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """Return for each trial the metric that deviates most from the median of its condition, with the deviation.
+    """Return for each trial its largest deviation from the median of its condition, and the metric that deviates.
 
     The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """

@@ -1,7 +1,6 @@
 """Summarise the result of one trial as a row of numbers, and as curves against force on a common grid."""
 
 import json
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,13 +44,12 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Return the table row of a trial (`columns.NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
+    """Return the row of a trial (columns `NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
 
-    None means unknown: not measured, its moment did not occur, or a frame there is not usable.
-
-    The value at a force F is interpolated linearly between the two frames around its first crossing, after the onset
-    and before the maximum. The strain along t, the major axis of the apparent contact at its maximum, is
-    t' E t of the median components; its standard deviation treats their errors as independent.
+    None means unknown: not measured, its moment did not occur, or a frame there is not usable. The value at a force F
+    is interpolated linearly between the two frames around its first crossing, after the onset and before the maximum.
+    The strain along t, the major axis of the apparent contact at its maximum, is t' E t of the median components; its
+    standard deviation treats their errors as independent.
     """
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
@@ -73,13 +71,14 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial, and the frames (onset, largest force, last contact) at which the row states values."""
+    """Time series of a trial, and the moments (contact onset, largest force, 1 to 3 N) whose values are in its row."""
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
         self._time = np.asarray(result["time"].values, dtype=np.float64)
         self._window = float(json.loads(result.attrs["settings"])["fields"]["rate_window_s"])
-        self._usable = self._read("frame_status", np.zeros(len(self._time))) == 0
+        status = result["frame_status"].values if "frame_status" in result else np.zeros(len(self._time))
+        self._usable = np.asarray(status) == 0
         self._force = self._values("normal_force")
         self._gross = self._values("gross_contact_area")
         touching = np.flatnonzero(np.nan_to_num(self._gross) > 0) if self._gross is not None else np.empty(0, int)
@@ -88,9 +87,7 @@ class _Trial:
         self.top = self._peak_frame()
         self.series = self._series()
         self.moments = self._moments()
-
-    def _read(self, name: str, otherwise: Series) -> Series:
-        return np.asarray(self._result[name].values) if name in self._result else otherwise
+        self._grid = [self.crossing(float(force)) for force in FORCE_GRID]
 
     def _values(self, name: str) -> Series | None:
         """Return the series of a variable with NaN in unusable frames; None if the result lacks the variable."""
@@ -168,11 +165,6 @@ class _Trial:
         before, after = int(frames[above[0] - 1]), int(frames[above[0]])
         share = (force - values[above[0] - 1]) / (values[above[0]] - values[above[0] - 1])
         return before, after, float(share)
-
-    @cached_property
-    def _grid(self) -> list[Moment | None]:
-        """Return the moments at which the normal force first reaches each of the forces in `FORCE_GRID`."""
-        return [self.crossing(float(force)) for force in FORCE_GRID]
 
     def curve(self, series: Series) -> list[float | None] | None:
         """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if it is unknown."""

@@ -63,7 +63,7 @@ def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = F
     if not entries:
         names = ", ".join(entry.name for entry in manifest.trials[:3])
         raise FingerflowError(f"--only {only}: no trial has such a name; they are {names} ...")
-    found = (_why(manifest, entry, retry_failed) for entry in entries)
+    found = (_plan_trial(manifest, entry, retry_failed) for entry in entries)
     return [one for one in found if one is not None]
 
 
@@ -141,7 +141,7 @@ def _run_groups(
     def of_error(name: str, error: BaseException) -> list[Outcome]:
         if len(groups[name]) > 1 and not isinstance(error, FingerflowError):
             return []
-        return [_of_error(error, name, manifest)]
+        return [_outcome_of_error(error, name, manifest)]
 
     for outcomes in run_on_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
         yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
@@ -154,7 +154,7 @@ def _default_group_size(scheduler: str | None) -> int:
     return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
 
 
-def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:
+def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:
     folder = manifest.results / entry.name
     stored = read_row(folder)
     if stored is None:
@@ -182,7 +182,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
     return Planned(entry, "row", "the table has other columns now; the result is kept")
 
 
-def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
+def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
     """Return the outcome of a trial that killed its worker or raised an error; raise a FingerflowError again."""
     from distributed import KilledWorker
 

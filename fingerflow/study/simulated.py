@@ -22,10 +22,8 @@ def write_recordings(folder: Path, design: Design) -> None:
     """Simulate all presses of a study as recordings in a folder, with the observer's answers and the true values.
 
     Each press is a `ChainPress` recording with its scene. `answers.csv` has answers and true values, `truth.json` the
-    design.
-
-    Odd trials of a participant are references, the next even ones their comparisons, which have the answer and name
-    their reference. Recordings that the folder has already are kept, so that an interrupted call goes on.
+    design. Odd trials of a participant are references, the next even ones their comparisons, which have the answer and
+    name their reference. Recordings that the folder has already are kept, so that an interrupted call goes on.
 
     Raises FingerflowError if a recording cannot be written.
     """

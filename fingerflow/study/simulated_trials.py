@@ -201,9 +201,8 @@ def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
 def median_divergence(press: ChainPress) -> float:
     """Return the true median divergence over the apparent contact at the end of the force rise.
 
-    The divergence of each point counts from its onset of contact.
-
-    It is the truth of the pictures, evaluated along one radius: skin and contact are those of a body of revolution.
+    The divergence of each point counts from its onset of contact. It is the truth of the pictures, evaluated along one
+    radius: skin and contact are those of a body of revolution.
     """
     at_peak = replace(press, n_frames=1, frames_before_trigger=0, contact_time=-press.rise_time)
     ellipse = at_peak.truth.ellipse(0)

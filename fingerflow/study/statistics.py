@@ -92,10 +92,9 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
       trials.
     - `groups`: one or two groups of participants by their median divergence, or its difference.
 
-    Differences of a comparison from its reference are in `shares` and `groups` alone.
-
-    Participants are the units of every interval and p. `p_holm` is p corrected for the metrics of its table (Holm
-    1979). `by_answer`, `shares`, `force_rate` and `observer` exist only with answers.
+    Differences of a comparison from its reference are in `shares` and `groups` alone. Participants are the units of
+    every interval and p. `p_holm` is p corrected for the metrics of its table (Holm 1979). `by_answer`, `shares`,
+    `force_rate` and `observer` exist only with answers.
 
     Args:
         sample: of `sample_of`.
@@ -118,7 +117,8 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     }
     if sample.answered:
         found["by_answer"] = _anovas(trials, trials.answer)
-        found["shares"] = _corrected({name: _of_shares(trials, values) for name, values in differences.metrics.items()})
+        shares = {name: correlate_with_answers(trials, values) for name, values in differences.metrics.items()}
+        found["shares"] = _corrected(shares)
         found["force_rate"] = _of_force_rate(trials)
         found["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(found)
@@ -128,10 +128,8 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 def holm(p: Mapping[str, float]) -> dict[str, float]:
     """Return p-values corrected for multiple tests by Holm's method.
 
-    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1.
-
-    The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays,
-    and does not count.
+    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1. The chance that any of m true
+    null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays, and does not count.
     """
     known = sorted((value, name) for name, value in p.items() if math.isfinite(value))
     scaled = [(len(known) - place) * value for place, (value, _) in enumerate(known)]
@@ -176,7 +174,11 @@ def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
-def _of_shares(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+    """Compute Spearman's correlation of a metric (T,) with the share of "more slippery" answers.
+
+    Each pair of values is the median metric and the share of one participant in one condition.
+    """
     medians, shares, _, who = dots_of(trials, values)
     return spearman(medians, shares, participants=who)
 

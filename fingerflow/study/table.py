@@ -60,8 +60,8 @@ def write_tables(manifest: Manifest) -> Tables:
     table = pa.Table.from_pandas(frame, preserve_index=False)
     described = NUMBERS | FACTS | DIFFERENCES
     fields = [
-        one.with_metadata({"units": described[one.name].units, "long_name": described[one.name].long_name})
-        if one.name in described
+        one.with_metadata({"units": known.units, "long_name": known.long_name})
+        if (known := described.get(one.name))
         else one
         for one in table.schema
     ]
@@ -80,7 +80,7 @@ def write_tables(manifest: Manifest) -> Tables:
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
     """Return one row per trial for the table: columns of the manifest, facts and numbers (None becomes NaN)."""
-    numeric = _are_numbers([entry.condition for entry, _ in stored])
+    numeric = all(np.isfinite(_number_of(entry.condition)) for entry, _ in stored)
     rows = []
     for entry, found in stored:
         known = found.row if found is not None and found.status == MEASURED else {}
@@ -93,17 +93,10 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
             "result": None if result is None else relative(result, manifest.path.parent),
             **{name: known.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
         }
-        rows.append(
-            {
-                "participant": entry.participant,
-                "trial": entry.trial,
-                "condition": float(entry.condition) if numeric else entry.condition,
-                "answer": entry.answer,
-                **entry.others,
-                **facts,
-                **{name: np.nan if known.get(name) is None else float(known[name]) for name in NUMBERS},
-            }
-        )
+        numbers = {name: np.nan if known.get(name) is None else float(known[name]) for name in NUMBERS}
+        condition = float(entry.condition) if numeric else entry.condition
+        row = {"participant": entry.participant, "trial": entry.trial, "condition": condition, "answer": entry.answer}
+        rows.append(row | dict(entry.others) | facts | numbers)
     return rows
 
 
@@ -138,7 +131,7 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
     that fewer than half of a condition's trials reach is left out: its mean would be that of a selection.
     """
     rows: list[dict[str, Any]] = []
-    conditions = sorted({entry.condition for entry, _ in stored}, key=_in_order)
+    conditions = sorted({entry.condition for entry, _ in stored}, key=lambda text: (_number_of(text), text))
     for metric in CURVES:
         for condition in conditions:
             own = [
@@ -155,12 +148,10 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
                 if known.mean() < _MOST_MISSING:
                     continue
                 means = np.array([values[known & (who == name), column].mean() for name in np.unique(who[known])])
-                reach = (
-                    float(stats.t.ppf((1 + _LEVEL) / 2, means.size - 1) * means.std(ddof=1) / np.sqrt(means.size))
-                    if means.size > 1
-                    else np.nan
-                )
-                mean = float(means.mean())
+                mean, reach = float(means.mean()), np.nan
+                if means.size > 1:
+                    quantile = stats.t.ppf((1 + _LEVEL) / 2, means.size - 1)
+                    reach = float(quantile * means.std(ddof=1) / np.sqrt(means.size))
                 rows.append(
                     {
                         "metric": metric, "unit": NUMBERS[metric].units, "condition": condition,
@@ -171,15 +162,9 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
     return rows
 
 
-def _are_numbers(texts: Sequence[str]) -> bool:
+def _number_of(text: str) -> float:
+    """Return a text as a number; infinity if it is none."""
     try:
-        return all(np.isfinite(float(text)) for text in texts)
+        return float(text)
     except ValueError:
-        return False
-
-
-def _in_order(text: str) -> tuple[float, str]:
-    try:
-        return float(text), text
-    except ValueError:
-        return np.inf, text
+        return np.inf

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from fingerflow.models.skin_chain import PressedChain as Chain
 from fingerflow.models.skin_chain import follow
-from fingerflow.models.skin_onset import SinceOnset, since_onset
-from fingerflow.models.skin_parameters import named
+from fingerflow.models.skin_parameters import parameter_set
 from fingerflow.synthetic.grid_spline import cubic_weights
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
@@ -69,45 +68,30 @@ class ChainPress(SyntheticScene):
     @property
     def chain(self) -> Chain:
         """Return the simulated skin chain at evenly spaced times from first contact to the full force of its path."""
-        return pressed_chain(
-            self.friction, self.parameters, self.softness, self._path_force, self._path_time, self.elements
-        )
-
-    @cached_property
-    def chain_since_onset(self) -> SinceOnset:
-        """Return the chain's displacement and divergence since contact, directly from the simulation, without
-        splines.
-        """
-        return since_onset(self.chain)
+        return pressed_chain(*self._path)
 
     def chain_at(self, values: Tensor) -> Array:
         """Interpolate values (T,) at the chain's simulated times to the times of the frames; NaN before contact."""
-        share = np.minimum(self.progress(self.times), 1) * self._end
+        share = np.minimum(self.progress(self.times), 1) * self._path_end
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
     @cached_property
     def motion(self) -> "RadialMotion":
-        path = self.friction, self.parameters, self.softness, self._path_force, self._path_time, self.elements
-        return replace(_radial_motion(*path), centre=self.contact_centre, shift=self.shift, end=self._end)
+        motion = _radial_motion(*self._path)
+        return replace(motion, centre=self.contact_centre, shift=self.shift, end=self._path_end)
 
     def progress(self, time: Array) -> Array:
         share = self._share_of_rise(time)
         if self.steady:
-            share = _progress_at(share * self.force / self._path_force) / self._end
-        elif self._end < 1:
-            share = _progress_at(force_share(share) * self.force / self._path_force) / self._end
-        return np.asarray(np.minimum(share, 1.0) + self._held(time))
-
-    def time_of(self, progress: Array) -> Array:
-        rise = np.minimum(progress, 1.0)
-        risen = force_share(rise * self._end) * self._path_force / self.force
-        share = np.where(rise < 1, risen if self.steady else _progress_at(risen), 1.0)
-        return self.contact_time + self.rise_time * share + np.clip(progress - 1, 0, None) * self._hold_time
+            share = _progress_at(share * self.force / self._path_force) / self._path_end
+        elif self._path_end < 1:
+            share = _progress_at(force_share(share) * self.force / self._path_force) / self._path_end
+        return np.asarray(np.minimum(share, 1.0) + self._share_of_hold(time))
 
     def normal_force(self, time: Array) -> Array:
         share = self._share_of_rise(time)
         risen = share if self.steady else force_share(share)
-        return self.force * risen * (1 - self.relaxation * self._held(time))
+        return self.force * risen * (1 - self.relaxation * self._share_of_hold(time))
 
     def tangential_force(self, time: Array) -> Array:
         return self.drag * self.normal_force(time)
@@ -115,25 +99,24 @@ class ChainPress(SyntheticScene):
     def _share_of_rise(self, time: Array) -> Array:
         return np.asarray(np.clip((time - self.contact_time) / self.rise_time, 0, 1))
 
-    def _held(self, time: Array) -> Array:
+    def _share_of_hold(self, time: Array) -> Array:
         """Return the share of the time from the end of the rise to the last frame that has elapsed."""
         held = time - self.contact_time - self.rise_time
-        return np.asarray(np.clip(held / self._hold_time, 0, 1)) if self._hold_time > 0 else np.zeros_like(held)
-
-    @property
-    def _hold_time(self) -> float:
-        return max(float(self.times[-1]) - self.contact_time - self.rise_time, 0.0)
+        whole = float(self.times[-1]) - self.contact_time - self.rise_time
+        return np.asarray(np.clip(held / whole, 0, 1)) if whole > 0 else np.zeros_like(held)
 
     @property
     def _path_force(self) -> float:
         return self.force if self.path_force is None else self.path_force
 
     @property
-    def _path_time(self) -> float:
-        return self.rise_time if self.path_force is None else _PATH_S
+    def _path(self) -> tuple[float, str, float, float, float, int]:
+        """Return the arguments of `pressed_chain`: skin, friction, force and rise time of the simulated chain."""
+        rise_s = self.rise_time if self.path_force is None else _PATH_S
+        return self.friction, self.parameters, self.softness, self._path_force, rise_s, self.elements
 
     @property
-    def _end(self) -> float:
+    def _path_end(self) -> float:
         """Return the progress of the chain's path at the full force of the press."""
         return float(_progress_at(np.asarray(self.force / self._path_force)))
 
@@ -145,7 +128,7 @@ def pressed_chain(
     """Return a skin chain at 257 evenly spaced times of a force (N) that rises as sin² in a time (s)."""
     time = torch.linspace(0, rise_s, _TIMES, dtype=torch.float64)
     load = torch.from_numpy(force * force_share(np.linspace(0, 1, _TIMES)))
-    return follow(friction, time, load, parameters=named(parameters).softer(softness), elements=elements)
+    return follow(friction, time, load, parameters=parameter_set(parameters).softer(softness), elements=elements)
 
 
 def force_share(progress: Array) -> Array:
@@ -174,7 +157,7 @@ def _radial_motion(
         moved = CubicSpline(place[seen], (place - undeformed)[seen])
         row[0], row[1:] = moved(0.0, 1), moved(radius[1:]) / radius[1:]
     square = (500 * chain.contact_length.numpy()) ** 2
-    return RadialMotion((0.0, 0.0), side, _coefficients(_evened(share)), _coefficients(_evened(square)))
+    return RadialMotion((0.0, 0.0), side, _coefficients(_smoothed(share)), _coefficients(_smoothed(square)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,16 +196,16 @@ class RadialMotion:
         # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre finite.
         radius = torch.sqrt(right.square() + down.square() + 1e-30)
         rows, columns = self.share.shape
-        first, weights = _place(self._on_path(progress), rows - 3)
+        first, weights = _spline_weights(self._on_path(progress), rows - 3)
         table = self.share.to(x.dtype)
-        start, across = _place(radius / self.side, columns - 3)
+        start, across = _spline_weights(radius / self.side, columns - 3)
         if progress.numel() == 1:  # an image: one row of coefficients for all pixels
             four = torch.stack([weight.reshape(()) for weight in weights])
-            spread = _line(four @ table[int(first) : int(first) + 4], start, across)
+            spread = _spline_value(four @ table[int(first) : int(first) + 4], start, across)
         else:
             flat, spread = table.flatten(), torch.zeros_like(radius)
             for k, weight in enumerate(weights):
-                spread = spread + weight * _line(flat, (first + k) * columns + start, across)
+                spread = spread + weight * _spline_value(flat, (first + k) * columns + start, across)
         return x - spread * right, y - spread * down
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
@@ -244,15 +227,12 @@ class RadialMotion:
         return torch.sin(math.pi / 2 * (progress - 1).clamp(0, 1)).square()
 
     def _square(self, progress: Tensor) -> Tensor:
-        start, weights = _place(self._on_path(progress), len(self.square) - 3)
-        return _line(self.square.to(progress.dtype), start, weights)
+        start, weights = _spline_weights(self._on_path(progress), len(self.square) - 3)
+        return _spline_value(self.square.to(progress.dtype), start, weights)
 
 
-def _evened(values: Array) -> Array:
-    """Smooth simulated values (T, ...) by a least-squares spline and return them at K + 1 evenly spaced times.
-
-    The values at first contact are kept.
-    """
+def _smoothed(values: Array) -> Array:
+    """Fit a spline in time to simulated values (T, ...), exact at first contact; return it at K + 1 even times."""
     time = np.linspace(0, 1, _TIMES)
     knots = np.concatenate(([0.0] * 3, np.linspace(0, 1, _KNOTS + 1), [1.0] * 3))
     weight = np.where(time == 0, 1e3, 1.0)
@@ -264,14 +244,18 @@ def _coefficients(values: Array) -> Tensor:
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
-def _place(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Return the index of the first of four spline coefficients, and their weights, at a position 0 to 1 on a grid."""
+def _spline_weights(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """Evaluate a cubic B-spline on a uniform grid of `steps` intervals at positions 0 to 1.
+
+    Return the index of the first of the four coefficients at each position, and their four weights.
+    """
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
     return first.long(), cubic_weights(at - first)[0]
 
 
-def _line(flat: Tensor, start: Tensor, weights: tuple[Tensor, ...]) -> Tensor:
+def _spline_value(flat: Tensor, start: Tensor, weights: tuple[Tensor, ...]) -> Tensor:
+    """Return the weighted sum of four successive coefficients, which begin at the index `start`."""
     value = torch.take(flat, start) * weights[0]
     for k in range(1, 4):
         value = value.addcmul(torch.take(flat, start + k), weights[k])

@@ -1,9 +1,6 @@
-"""Synthetic trial of partial slip whose stuck area decreases linearly with the tangential force.
+"""Synthetic trial of partial slip whose stuck area falls linearly with load, as in Terekhov & Hayward 2011."""
 
-Terekhov & Hayward 2011 measured such a decrease.
-"""
-
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -39,9 +36,7 @@ class LinearSlip(PartialSlip):
 
     @cached_property
     def motion(self) -> "LinearSlipMotion":
-        model = super().motion
-        values = {one.name: getattr(model, one.name) for one in fields(model)}
-        return LinearSlipMotion(**values, last=self.last, bend=self.bend)
+        return LinearSlipMotion(**vars(super().motion), last=self.last, bend=self.bend)
 
     def tangential_force(self, time: Array) -> Array:
         return super().tangential_force(time) * (1 - self.swing * np.sin(np.pi * _SWING_HZ * time) ** 2)
@@ -49,10 +44,7 @@ class LinearSlip(PartialSlip):
 
 @dataclass(frozen=True)
 class LinearSlipMotion(PartialSlipMotion):
-    """A `PartialSlipMotion` whose relative stuck area decreases to `last` as the tangential force rises.
-
-    It decreases linearly if `bend` is 1.
-    """
+    """A `PartialSlipMotion` whose stuck area falls to `last` as the tangential force rises, linearly if `bend` is 1."""
 
     last: float = 0.2
     bend: float = 1.0

@@ -23,7 +23,7 @@ _INVERTED = 1e-3  # px, last step of the fixed-point iteration; its error is no 
 class MarkerGel:
     """Synthetic gel: a lattice of dark discs on an elastic surface that an object deforms.
 
-    Lengths are in px of the frame, angles in rad.
+    Lengths are in px of the frame, places (x, y).
 
     Time course, in shares of the recording: at rest until 0.15. Until 0.3 the object presses, which spreads the gel by
     `dilation`. Until 0.6 it drags the gel by `shear`, while its rim slips from 0.45 on. At 0.7 it slips as a whole:
@@ -33,43 +33,24 @@ class MarkerGel:
     with r its distance from the object's centre c, b the `reach`, and m from 1 in the stick region to 1 - `lag` at its
     rim. The function is exact and is inverted at four points per pixel. Light falls from three sides, one per colour,
     so pressure darkens one side and brightens the other.
-
-    Args:
-        n_frames: of the recording.
-        frame_rate: frames per second.
-        frame_shape: rows and columns.
-        spacing: of the markers.
-        radius: of a marker.
-        jitter: standard deviation of the markers' positions about the lattice.
-        contact: centre of the object, (x, y).
-        object_radius: of the object.
-        reach: of the displacement.
-        shear: (x, y) at the end of the drag.
-        kept: share of it after gross slip.
-        dilation: gradient of the spreading.
-        lag: share of the shear that the rim of the contact has lost to partial slip.
-        tilt: largest relative change of light by pressure.
-        exposure: gain of the camera while the object touches.
-        seed: of jitter.
-        camera: noise, of each colour.
     """
 
     n_frames: int = 48
     frame_rate: float = 25.0
     frame_shape: tuple[int, int] = (240, 320)
-    spacing: float = 31.0
-    radius: float = 5.0
-    jitter: float = 0.6
-    contact: tuple[float, float] = (190.0, 120.0)
+    spacing: float = 31.0  # of the markers
+    radius: float = 5.0  # of a marker
+    jitter: float = 0.6  # standard deviation of the markers' positions about the lattice
+    contact: tuple[float, float] = (190.0, 120.0)  # centre of the object
     object_radius: float = 60.0
-    reach: float = 75.0
-    shear: tuple[float, float] = (-34.0, 21.0)
-    kept: float = 0.35
-    dilation: float = 0.12
-    lag: float = 0.35
-    tilt: float = 0.3
-    exposure: float = 0.85
-    seed: int = 0
+    reach: float = 75.0  # of the displacement
+    shear: tuple[float, float] = (-34.0, 21.0)  # at the end of the drag
+    kept: float = 0.35  # share of it after gross slip
+    dilation: float = 0.12  # gradient of the spreading
+    lag: float = 0.35  # share of the shear that the rim of the contact has lost to partial slip
+    tilt: float = 0.3  # largest relative change of light by pressure
+    exposure: float = 0.85  # gain of the camera while the object touches
+    seed: int = 0  # of jitter
     camera: Camera = field(default_factory=lambda: Camera(noise=1.5, salt_and_pepper=0.0))
 
     @cached_property
@@ -78,8 +59,7 @@ class MarkerGel:
         height, width = self.frame_shape
         columns, rows = (np.arange(-2, int(size / self.spacing) + 3) for size in (width, height))
         lattice = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) * self.spacing + self.spacing / 3
-        result: Array = lattice + np.random.default_rng(self.seed).normal(0, self.jitter, lattice.shape)
-        return result
+        return np.asarray(lattice + np.random.default_rng(self.seed).normal(0, self.jitter, lattice.shape))
 
     def pressed(self, frame: int) -> float:
         """Return the indentation depth in a frame as a fraction (0 to 1) of the largest depth."""
@@ -109,8 +89,7 @@ class MarkerGel:
         stuck = 1 - self.lag * self.lagging(frame) * rim * rim * (3 - 2 * rim)
         shear = self.sheared(frame) * stuck * np.asarray(self.shear)
         spread = self.dilation * self.pressed(frame) * off
-        result: Array = (shear + spread) * np.exp(-(r**2) / (2 * self.reach**2))
-        return result
+        return np.asarray((shear + spread) * np.exp(-(r**2) / (2 * self.reach**2)))
 
     def positions(self, frame: int) -> Array:
         """Return the positions (N, 2) px of the markers in a frame."""
@@ -139,16 +118,14 @@ class MarkerGel:
             shown = shown.reshape(height, _SUPERSAMPLED, width, _SUPERSAMPLED).mean((1, 3))
             clean = self.camera.expose(torch.from_numpy(shown.astype(np.float32)))
             colours.append(self.camera.read_out(clean, 3 * frame + k))
-        result: NDArray[np.uint8] = np.stack(colours, axis=-1).astype(np.uint8)
-        return result
+        return np.stack(colours, axis=-1).astype(np.uint8)
 
     def _share(self, frame: int) -> float:
         return frame / max(self.n_frames - 1, 1)
 
 
 def write_gel_recording(folder: Path, gel: MarkerGel, mm_per_px: float = 0.06) -> Path:
-    """Write a recording of the gel as compressed colour video frames.avi with scene.toml; return the path of
-    scene.toml.
+    """Write a recording of the gel, as compressed colour video, with its scene.toml; return the path of the latter.
 
     Raises FingerflowError if the folder exists already or the video cannot be written.
     """

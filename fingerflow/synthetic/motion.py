@@ -43,18 +43,16 @@ class Ellipse:
 
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the relative radius of positions: 0 at the centre, 1 on the ellipse."""
-        along, across = self._principal(x, y)
-        # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre 0, not NaN.
-        return torch.sqrt(along.square() + across.square() + 1e-30)
+        return _length(*self._principal(x, y))
 
     def distance(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the distance to the ellipse in mm, positive inside: exact on the ellipse and first order near it."""
         along, across = self._principal(x, y)
-        radius = torch.sqrt(along.square() + across.square() + 1e-30)
-        slope = torch.sqrt((along / self.semi_axes[0]).square() + (across / self.semi_axes[1]).square() + 1e-30)
-        return (1 - radius) * radius / slope
+        radius = _length(along, across)
+        return (1 - radius) * radius / _length(along / self.semi_axes[0], across / self.semi_axes[1])
 
     def _principal(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the components of positions along both semi-axes, in units of each."""
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
         (first, second), (centre_x, centre_y) = self.semi_axes, self.centre
         right, down = x - centre_x, y - centre_y
@@ -62,6 +60,11 @@ class Ellipse:
             (cosine / first * right).add(down, alpha=sine / first),
             (-sine / second * right).add(down, alpha=cosine / second),
         )
+
+
+def _length(first: Tensor, second: Tensor) -> Tensor:
+    # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre 0, not NaN.
+    return torch.sqrt(first.square() + second.square() + 1e-30)
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,7 @@ class SkinMotion(Protocol):
         """Return the material coordinates (mm) of the skin that lies at positions (x, y) on the glass."""
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        """Return a dimensionless depth of positions in the apparent contact: positive inside, 0 on the edge, negative
-        outside.
-        """
+        """Return a dimensionless depth in the apparent contact: positive inside, 0 on the edge, negative outside."""
 
     def ellipse(self, progress: float) -> Ellipse | None:
         """Return the edge of the apparent contact, or None without contact."""
@@ -165,7 +166,7 @@ class SlideMotion:
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
         """Return the radius of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
-        return 1 - self._peeling(progress).square()
+        return 1 - self._slip_progress(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
         """Return the distance, mm, by which contact and skin have slid as a whole."""
@@ -175,7 +176,7 @@ class SlideMotion:
         travelled = self.travelled(progress)
         radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
         beyond = (radius - self.stuck_radius(progress)).clamp(min=0) / 0.6
-        slipped = travelled - self.creep * self._peeling(progress) * torch.expm1(-beyond.square())
+        slipped = travelled - self.creep * self._slip_progress(progress) * torch.expm1(-beyond.square())
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
@@ -188,13 +189,12 @@ class SlideMotion:
         return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
-        """Return the relative radius within which the skin in contact has moved by less than `limit` mm since the
-        start.
+        """Return the relative radius of the skin in contact that has moved by less than `limit` mm since the start.
 
-        It is 0 where no skin has moved less, and infinite where all has.
+        It is 0 if no skin has moved less, and infinite if all has.
         """
         at = torch.tensor(progress, dtype=torch.float64)
-        travelled, creep = float(self.travelled(at)), self.creep * float(self._peeling(at))
+        travelled, creep = float(self.travelled(at)), self.creep * float(self._slip_progress(at))
         if travelled >= limit:
             return 0.0
         share = (limit - travelled) / creep if creep > 0 else math.inf
@@ -202,5 +202,6 @@ class SlideMotion:
             return math.inf
         return float(self.stuck_radius(at)) + 0.6 * math.sqrt(-math.log1p(-share))
 
-    def _peeling(self, progress: Tensor) -> Tensor:
+    def _slip_progress(self, progress: Tensor) -> Tensor:
+        """Return the progress of partial slip: 0 at the start, 1 from full slip on."""
         return (progress / self.full_slip).clamp(max=1)

@@ -62,9 +62,8 @@ def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: T
 def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
     """Return the grey levels of the contact view: the bright field, darkened where skin touches.
 
-    Margins are distances (mm) to the edges of ridge and apparent contact.
-
-    Margins are positive inside. The level half-way between ridge and valley lies on the edge of the real contact.
+    Margins are distances (mm) to the edges of ridge and apparent contact, positive inside. The level half-way between
+    ridge and valley lies on the edge of the real contact.
     """
     touching = torch.sigmoid_(torch.minimum(ridge_margin, gross_margin).div_(EDGE_WIDTH))
     skin = torch.sigmoid(gross_margin / EDGE_WIDTH).mul_(VALLEY_LOSS)

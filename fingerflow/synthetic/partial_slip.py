@@ -13,7 +13,7 @@ from fingerflow.synthetic.motion import SlideMotion
 from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
-_STEEPEST = 1.5  # slope of `_rising` at its steepest
+_STEEPEST = 1.5  # slope of `_smoothstep` at its steepest
 _MOST_STRETCH = 0.5  # largest stretch that jumps may add
 _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the stick region
 
@@ -66,28 +66,22 @@ class PartialSlip(Slide):
 
     @cached_property
     def motion(self) -> "PartialSlipMotion":
-        slide = super().motion
         critical = float(critical_stuck_area(self.static_friction, self.kinetic_friction).nan_to_num(0.0))
         collapse = self.collapse / self.times[-1] if critical > 0 else 0.0
         return PartialSlipMotion(
-            slide.contact,
-            slide.direction,
-            slide.creep,
-            slide.travel,
-            slide.full_slip,
-            self.static_friction,
-            self.kinetic_friction,
-            self.full_slip - collapse,
-            tuple(float(time / self.times[-1]) for time in self.jumps),
-            self.jump,
+            **vars(super().motion),
+            static_friction=self.static_friction,
+            kinetic_friction=self.kinetic_friction,
+            loaded=self.full_slip - collapse,
+            jumps=tuple(float(time / self.times[-1]) for time in self.jumps),
+            jump=self.jump,
         )
 
     def tangential_force(self, time: Array) -> Array:
         progress = self.progress(time)
         held = self.motion.load_ratio(torch.from_numpy(progress)).numpy()
         slipping = np.clip((progress - self.full_slip) * self.times[-1] / self.collapse, 0, 1)
-        result: Array = self.force * (held + slipping * (self.kinetic_friction - held))
-        return result
+        return np.asarray(self.force * (held + slipping * (self.kinetic_friction - held)))
 
 
 @dataclass(frozen=True)
@@ -115,18 +109,13 @@ class PartialSlipMotion(SlideMotion):
 
     def travelled(self, progress: Tensor) -> Tensor:
         """Return the distance, mm, by which contact and skin have slid as a whole, including jumps after full slip."""
-        result = super().travelled(progress)
-        for at in self.jumps:
-            if at >= self.full_slip:
-                result = result + self.jump * (progress >= at).to(progress.dtype)
-        return result
+        late = (at for at in self.jumps if at >= self.full_slip)
+        return sum((self.jump * (progress >= at).to(progress.dtype) for at in late), super().travelled(progress))
 
-    def leapt(self, progress: Tensor) -> Tensor:
-        """Return the total distance, mm, by which the rim of the contact has jumped so far, without jumps after full
-        slip.
-        """
-        count = sum(((progress >= at).to(progress.dtype) for at in self.jumps if at < self.full_slip), 0 * progress)
-        return self.jump * count
+    def jumped(self, progress: Tensor) -> Tensor:
+        """Return the distance, mm, by which the rim of the contact has jumped in all jumps before full slip."""
+        early = (at for at in self.jumps if at < self.full_slip)
+        return self.jump * sum(((progress >= at).to(progress.dtype) for at in early), 0 * progress)
 
     def load_ratio(self, progress: Tensor) -> Tensor:
         """Return the load ratio T/N while part of the contact sticks, float64."""
@@ -145,16 +134,16 @@ class PartialSlipMotion(SlideMotion):
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         travelled = self.travelled(progress)
         radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
-        slipped = travelled + self._slipped(radius, self.stuck_radius(progress), self.leapt(progress))
+        slipped = travelled + self._slip_at(radius, self.stuck_radius(progress), self.jumped(progress))
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
-    def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
-        """Return the slip, mm, of skin at a relative `radius`, for a stick region of relative radius `stuck`.
+    def _slip_at(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
+        """Return the slip, mm, of skin at a relative radius, for a stick region of relative radius `stuck`.
 
-        `leapt` is the total length of the jumps, mm.
+        `jumped` is the total length of the jumps, mm.
         """
-        crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
-        return crept + leapt * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
+        crept = self.creep * (_rounded_ramp(radius - stuck) - _rounded_ramp(radius - 1))
+        return crept + jumped * _smoothstep((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
         at = torch.tensor(progress, dtype=torch.float64)
@@ -162,18 +151,19 @@ class PartialSlipMotion(SlideMotion):
         if left <= 0:
             return 0.0
         # The displacement grows outwards. Only within the contact: the skin around it moves rigidly.
-        stuck, leapt = self.stuck_radius(at), self.leapt(at)
+        stuck, jumped = self.stuck_radius(at), self.jumped(at)
 
         def beyond(radius: float) -> float:
-            return float(self._slipped(torch.tensor(radius, dtype=torch.float64), stuck, leapt)) - left
+            return float(self._slip_at(torch.tensor(radius, dtype=torch.float64), stuck, jumped)) - left
 
         return float(brentq(beyond, float(stuck), 1.0, xtol=1e-15)) if beyond(1.0) > 0 else 1.0
 
 
-def _rising(share: Tensor) -> Tensor:
+def _smoothstep(share: Tensor) -> Tensor:
     share = share.clamp(0, 1)
     return share.square() * (3 - 2 * share)
 
 
-def _stretched(beyond: Tensor) -> Tensor:
-    return torch.hypot(beyond.clamp(min=0), torch.full_like(beyond, _ROUNDED)) - _ROUNDED
+def _rounded_ramp(distance: Tensor) -> Tensor:
+    """Return a ramp, 0 for negative distances, whose kink is rounded over `_ROUNDED`."""
+    return torch.hypot(distance.clamp(min=0), torch.full_like(distance, _ROUNDED)) - _ROUNDED

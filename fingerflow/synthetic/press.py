@@ -1,7 +1,7 @@
 """Synthetic press of a fingertip on glass: contact grows from a point while the skin spreads."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,23 +47,17 @@ class Press(SyntheticScene):
     @cached_property
     def motion(self) -> PressMotion:
         x, y = self.contact_centre
-        bumps = tuple(
-            Bump((x + bump.centre[0], y + bump.centre[1]), bump.width, bump.shift, bump.dilation) for bump in self.bumps
-        )
+        bumps = tuple(replace(bump, centre=(x + bump.centre[0], y + bump.centre[1])) for bump in self.bumps)
         return PressMotion(Ellipse((x, y), self.semi_axes, self.tilt), self.gradient, self.shift, bumps)
 
     def progress(self, time: Array) -> Array:
-        return np.sqrt(np.sin(math.pi / 2 * self._rise(time)))
-
-    def time_of(self, progress: Array) -> Array:
-        result: Array = self.contact_time + self.rise_time * 2 / math.pi * np.arcsin(np.minimum(progress, 1.0) ** 2)
-        return result
+        return np.sqrt(np.sin(math.pi / 2 * self._share_of_rise(time)))
 
     def normal_force(self, time: Array) -> Array:
-        return self.force * np.sin(math.pi / 2 * self._rise(time)) ** 2
+        return self.force * np.sin(math.pi / 2 * self._share_of_rise(time)) ** 2
 
     def tangential_force(self, time: Array) -> Array:
         return self.drag * self.normal_force(time)
 
-    def _rise(self, time: Array) -> Array:
+    def _share_of_rise(self, time: Array) -> Array:
         return np.clip((time - self.contact_time) / self.rise_time, 0, 1)

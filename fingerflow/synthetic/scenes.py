@@ -35,12 +35,11 @@ class SyntheticForces(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticScene:
-    """Synthetic recording of a finger movement. Lengths are in mm, angles in rad, times in s from the trigger.
+    """Synthetic recording of a finger movement: images, forces and ground truth.
 
-    Forces are in N.
-
-    A frame has the topography view on its left half and the contact view on its right half. Positions are in mm on
-    the glass, 0 at the centre of the contact view's first pixel.
+    Lengths are in mm, angles in rad, times in s from the trigger, forces in N. A frame has the topography view on its
+    left half and the contact view on its right half. Positions are in mm on the glass, 0 at the centre of the contact
+    view's first pixel.
 
     Args:
         n_frames: frames of the recording.
@@ -93,8 +92,7 @@ class SyntheticScene:
         return Truth(
             motion=self.motion,
             progress=self.progress(self.times),
-            time_of=self.time_of,
-            touches=self._ridge_margin,
+            ridge_margin=self._ridge_margin,
             mm_per_px=self.mm_per_px,
             contact_shape=self.views["contact"].shape,
             topography_to_contact=np.array(self.topography_to_contact, dtype=np.float64),
@@ -102,13 +100,13 @@ class SyntheticScene:
 
     def render(self, frame: int) -> NDArray[np.integer]:
         """Return a frame (H, W) with camera noise; it is deterministic and does not depend on the order of calls."""
-        clean = torch.from_numpy(self.render_clean(self._checked(frame)))
-        return self.camera.read_out(clean, frame, defects=self.views["contact"])
+        return self.camera.read_out(torch.from_numpy(self.render_clean(frame)), frame, defects=self.views["contact"])
 
     def render_clean(self, frame: int, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
         """Return a frame (H, W) in unrounded grey levels of the camera, without noise."""
-        progress = torch.tensor(self.progress(self.times)[self._checked(frame)], dtype=dtype)
-        return self._picture(progress, dtype)
+        if not 0 <= frame < self.n_frames:
+            raise IndexError(f"frame {frame} is not in this scene: its frames are 0 to {self.n_frames - 1}")
+        return self._picture(torch.tensor(self.progress(self.times)[frame], dtype=dtype), dtype)
 
     def empty_clean(self, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
         """Return an image (H, W) of the glass without a finger, in unrounded grey levels without noise."""
@@ -143,10 +141,6 @@ class SyntheticScene:
 
     def progress(self, time: Array) -> Array:
         """Return the progress of the movement, 0 to 1, at times in s."""
-        raise NotImplementedError
-
-    def time_of(self, progress: Array) -> Array:
-        """Return the time in s at which the movement reaches a progress from 0 to 1."""
         raise NotImplementedError
 
     def normal_force(self, time: Array) -> Array:
@@ -198,26 +192,19 @@ class SyntheticScene:
 
     def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
         """Return the rows and columns around a contact ellipse, outside which the contact view shows only glass."""
-        ends = zip(ellipse.centre, ellipse.reach, strict=True)
         right, down = (
             slice(
                 max(0, math.floor((middle - reach - optics.GLASS_FROM) / self.mm_per_px)),
                 max(0, math.ceil((middle + reach + optics.GLASS_FROM) / self.mm_per_px) + 1),
             )
-            for middle, reach in ends
+            for middle, reach in zip(ellipse.centre, ellipse.reach, strict=True)
         )
         return down, right
-
-    def _checked(self, frame: int) -> int:
-        if not 0 <= frame < self.n_frames:
-            raise IndexError(f"frame {frame} is not in this scene: its frames are 0 to {self.n_frames - 1}")
-        return frame
 
 
 @lru_cache(maxsize=4)
 def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Return image planes (H, W) common to all frames: coordinates and illumination of the topography and the contact
-    view.
+    """Return the image planes (H, W) that all frames share: coordinates in mm and illumination, of each view.
 
     They are computed in float64 and rounded once.
     """

@@ -52,12 +52,7 @@ class Slide(SyntheticScene):
         )
 
     def progress(self, time: Array) -> Array:
-        result: Array = np.clip(time / self.times[-1], 0, 1)
-        return result
-
-    def time_of(self, progress: Array) -> Array:
-        # Skin inside before the pull was inside in the first frame.
-        return np.where(progress > 0, progress * self.times[-1], np.where(progress == 0, self.times[0], np.nan))
+        return np.asarray(np.clip(time / self.times[-1], 0, 1))
 
     def normal_force(self, time: Array) -> Array:
         return np.full_like(time, self.force)

@@ -52,10 +52,9 @@ class Truth:
 
     motion: SkinMotion
     progress: Array  # (frames,) of the movement, never falling
-    time_of: Callable[[Array], Array]  # the time (s) at which a progress was reached
     # Margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance (mm) from
     # the edge of the apparent contact, positive inside.
-    touches: Callable[[Tensor, Tensor, Tensor], Tensor]
+    ridge_margin: Callable[[Tensor, Tensor, Tensor], Tensor]
     mm_per_px: float  # of the contact view
     contact_shape: tuple[int, int]  # rows and columns of the contact view
     topography_to_contact: Array  # 2 x 3, from pixels of the topography view to pixels of the contact view
@@ -66,10 +65,6 @@ class Truth:
         """Convert positions (..., 2) from mm on the glass to px of the contact view."""
         return np.asarray(positions, dtype=np.float64) / self.mm_per_px
 
-    def contact_positions(self, pixels: ArrayLike) -> Array:
-        """Convert positions (..., 2) from px of the contact view to mm on the glass."""
-        return np.asarray(pixels, dtype=np.float64) * self.mm_per_px
-
     def topography_pixels(self, positions: ArrayLike) -> Array:
         """Convert positions (..., 2) from mm on the glass to px of the topography view."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
@@ -78,7 +73,7 @@ class Truth:
     def topography_positions(self, pixels: ArrayLike) -> Array:
         """Convert positions (..., 2) from px of the topography view to mm on the glass."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
-        return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ matrix.T + offset)
+        return (np.asarray(pixels, dtype=np.float64) @ matrix.T + offset) * self.mm_per_px
 
     # Motion
 
@@ -133,10 +128,6 @@ class Truth:
 
     # Deformation since the onset
 
-    def onset_time(self, material: ArrayLike) -> Array:
-        """Return the time (s) at which the apparent contact reached material points (..., 2); NaN if it never did."""
-        return self.time_of(self._onset(_points(material))[0].numpy())
-
     def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
         """Return the first frame whose apparent contact contains material points (..., 2); -1 if there is none."""
         onset = self._onset(_points(material))[0].numpy()
@@ -144,8 +135,7 @@ class Truth:
         return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement (..., 2) in mm of material points since their contact onset, or since frame
-        `reference`.
+        """Return the displacement (..., 2) in mm of material points since their contact onset or a frame `reference`.
 
         It is NaN before the onset and for points without one.
         """
@@ -153,32 +143,29 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement gradient (..., 2, 2) since the onset of contact, relative to the positions at onset.
+        """Return the gradient (..., 2, 2) of the displacement since the onset of contact, by the positions at onset.
 
-        With `reference` it is the gradient since that frame with respect to the positions there, F(frame)
-        F(reference)^-1 - I, at points that touch. [..., 0, 1] is du/dy: rows are components of the displacement,
-        columns directions of the derivative. NaN where the displacement is NaN, and for skin advected across the edge
-        of a stationary contact: the onset positions of neighbours then lie on one line, the edge, so they define no
-        gradient.
+        With `reference` it is F(frame) F(reference)^-1 - I, the gradient since that frame by the positions there, at
+        points that touch. [..., 0, 1] is du/dy. It is NaN where the displacement is NaN, and for skin advected across
+        the edge of a stationary contact: the onset positions of neighbours then lie on one line and define no gradient.
         """
         points = _points(material)
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the gradient (..., 2, 2) of skin displacement around material points, since the point came into
-        contact.
+        """Return the displacement gradient F(frame) F(onset)^-1 - I (..., 2, 2) of the skin around material points.
 
-        It is F(frame) F(onset)^-1 - I, and exists also for skin advected across a stationary edge. NaN before the
-        onset.
+        It exists also for skin advected across a stationary edge, and is NaN before the onset.
         """
         points = _points(material)
         onset, place = self._onset(points)
-        return self._gradient_from(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
+        return self._gradient_since(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
-        """Return true medians over the apparent contact of a frame, from positions on a square grid.
+        """Return the true medians of deformation over the apparent contact of a frame, from a square grid of positions.
 
-        They count since the onset of each point, or since frame `reference`; positions without a gradient are ignored.
+        Deformation counts from the onset of each point, or from frame `reference`; positions without a gradient are
+        ignored.
         """
         ellipse = self.ellipse(frame)
         if ellipse is None:
@@ -211,7 +198,7 @@ class Truth:
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         depth = ellipse.distance(x, y)
-        return torch.minimum(self.touches(*self.motion.material(x, y, self._at(frame)), depth), depth)
+        return torch.minimum(self.ridge_margin(*self.motion.material(x, y, self._at(frame)), depth), depth)
 
     def _displacement(
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
@@ -225,7 +212,7 @@ class Truth:
         self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
     ) -> Tensor:
         if reference is not None:
-            return self._gradient_from(points, frame, onset, self._deformation(points, reference))
+            return self._gradient_since(points, frame, onset, self._deformation(points, reference))
         forward, velocity = self._derivatives(place, onset)
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate
@@ -233,12 +220,12 @@ class Truth:
         # Points inside at the start have their onset at progress 0, and so have their neighbours.
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
-        gradient = self._gradient_from(points, frame, onset, place_gradient)
+        gradient = self._gradient_since(points, frame, onset, place_gradient)
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
-    def _gradient_from(self, points: Tensor, frame: int, onset: Tensor, begun: Tensor) -> Tensor:
-        """Return the displacement gradient since a state with the deformation gradient ``begun``; NaN before onset."""
-        gradient = self._deformation(points, frame) @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+    def _gradient_since(self, points: Tensor, frame: int, onset: Tensor, reference: Tensor) -> Tensor:
+        """Return the gradient since a state with the deformation gradient ``reference``; NaN before the onset."""
+        gradient = self._deformation(points, frame) @ _inverse(reference) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
@@ -247,9 +234,7 @@ class Truth:
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the deformation gradient (..., 2, 2) of skin at positions (..., 2), and its velocity by progress (...,
-        2).
-        """
+        """Return the deformation gradient (..., 2, 2) and the velocity by progress (..., 2) of skin at positions."""
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self.motion.material(positions[..., 0], positions[..., 1], progress)
@@ -280,11 +265,11 @@ class Truth:
         worst = missing.abs().nan_to_num(0).max().item()
         raise ValueError(
             f"the motion cannot be inverted: a point is missed by {worst:.2g} mm after 30 steps of Newton's method; "
-            f"the skin folds where its displacement changes by 100 % or more, so make the displacement smaller"
+            "the skin folds where its displacement changes by 100 % or more, so make the displacement smaller"
         )
 
     def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Return progress (...) and position (..., 2) at which material points enter the contact; NaN if they never do.
+        """Return the progress (...) and position (..., 2) at which material points enter the contact; NaN if never.
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """

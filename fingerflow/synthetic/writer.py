@@ -39,7 +39,7 @@ KINDS = {
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
-_LOOKS = 12  # frames whose contact determines the region
+_REGION_FRAMES = 12  # frames whose contact determines the region
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
@@ -65,8 +65,8 @@ def write_recording(folder: Path, scene: SyntheticScene, progress: bool = True) 
             np.save(unfinished / f"{name}.npy", mean.astype(np.float32))
         columns = np.stack(scene.forces(), axis=1)
         np.savetxt(unfinished / "forces.csv", columns, fmt="%.6f", delimiter=",", header=FORCE_COLUMNS, comments="")
-        (unfinished / "scene.toml").write_text(_scene_file(scene), encoding="utf-8")
-        (unfinished / "truth.json").write_text(_truth_file(scene, unfinished), encoding="utf-8")
+        (unfinished / "scene.toml").write_text(_scene_text(scene), encoding="utf-8")
+        (unfinished / "truth.json").write_text(_truth_text(scene, unfinished), encoding="utf-8")
         unfinished.rename(folder)
     except BaseException as error:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -84,7 +84,7 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
     """
     path = Path(folder) / "truth.json"
     try:
-        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=partial(_object, path.parent))
+        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=partial(_rebuild_part, path.parent))
     except FileNotFoundError:
         raise FingerflowError(f"{path} does not exist; only a synthetic recording has a truth to rebuild") from None
     except (ValueError, TypeError, KeyError) as error:
@@ -126,7 +126,7 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
     frames.flush()
 
 
-def _scene_file(scene: SyntheticScene) -> str:
+def _scene_text(scene: SyntheticScene) -> str:
     matrix = [list(row) for row in scene.topography_to_contact]
     return scene_text(
         frames="frames.npy",
@@ -146,7 +146,7 @@ def _scene_file(scene: SyntheticScene) -> str:
 def _region_of_skin(scene: SyntheticScene) -> View | None:
     """Return the rectangle of the topography view that contains, in frame 0, all skin that touches the glass later."""
     truth, edges = scene.truth, []
-    for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
+    for frame in np.unique(np.linspace(0, scene.n_frames - 1, _REGION_FRAMES).astype(int)):
         if (ellipse := truth.ellipse(int(frame))) is not None:
             skin = truth.material(ellipse.edge(63), int(frame))
             edges.append(truth.topography_pixels(truth.positions(skin, 0)))
@@ -158,7 +158,7 @@ def _region_of_skin(scene: SyntheticScene) -> View | None:
     return View((int(top), int(bottom)), (int(left), int(right))) if left < right and top < bottom else None
 
 
-def _truth_file(scene: SyntheticScene, folder: Path) -> str:
+def _truth_text(scene: SyntheticScene, folder: Path) -> str:
     """Return the settings of a scene as JSON text, and copy an image file named in them to the recording's folder."""
 
     def settings(part: Any) -> dict[str, Any]:
@@ -171,13 +171,13 @@ def _truth_file(scene: SyntheticScene, folder: Path) -> str:
     return json.dumps(scene, default=settings, indent=1)
 
 
-def _object(folder: Path, settings: dict[str, Any]) -> Any:
+def _rebuild_part(folder: Path, settings: dict[str, Any]) -> Any:
     if settings["kind"] == FILE:
         return folder / settings["name"]
-    arguments = {name: _tuples(value) for name, value in settings.items() if name != "kind"}
+    arguments = {name: _to_tuples(value) for name, value in settings.items() if name != "kind"}
     return KINDS[settings["kind"]](**arguments)
 
 
-def _tuples(value: Any) -> Any:
+def _to_tuples(value: Any) -> Any:
     """Convert lists from JSON to tuples, recursively, as the settings of scenes are tuples."""
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+    return tuple(_to_tuples(item) for item in value) if isinstance(value, list) else value

@@ -139,6 +139,11 @@ class Points:
         """Return the reference positions (N, 2) px of the points in the key frame."""
         return self._every[: len(self)]
 
+    @property
+    def correlation(self) -> Array:
+        """Return the correlation (N,) of each window with the one in the key frame at the last verification."""
+        return self._verification.correlation
+
     def __len__(self) -> int:
         return len(self.motion.place)
 

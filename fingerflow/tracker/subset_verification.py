@@ -46,14 +46,15 @@ class Verification:
         self._centred = Centred.of(self._first)
         self._variance = self._first.var(1, ddof=1)
         self.failed = np.zeros(len(points), dtype=bool)
+        self.correlation = np.full(len(points), np.nan, np.float32)
 
     def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Array]:
         """Verify the points in several images, and return a mask (N,) of the points to be rejected in these images.
 
         Positions are (n, N, 2) px, images (n, 1, h, w). Each point is checked once, in the last image in which it is
         tracked. A point that fails there, or failed at the check before, may have left its skin in any of these images.
-        `failed` has those that fail at this check. `warp` (N, 2, 2) is the deformation gradient in the last image, NaN
-        where it is not known.
+        `failed` has those that fail at this check, `correlation` (N,) the correlation of each, NaN where unknown.
+        `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
         tracked = status == TrackStatus.TRACKED
@@ -77,7 +78,7 @@ class Verification:
             )
             again = yield from self._dissimilarity(images, *some, better, suspect)
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
-        before = self.failed
+        before, self.correlation = self.failed, (1 - apart).astype(np.float32)
         # A point that cannot be checked keeps its result.
         self.failed = np.where(np.isnan(apart), before, apart > limit)
         result: Array = before | self.failed

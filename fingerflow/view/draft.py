@@ -1,5 +1,6 @@
 """Draft of a scene file that the page edits: values, validation problems, and writing to disk."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from fingerflow.schema.scene_template import scene_text
 
 Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
+_HEADING = re.compile(r"(?:# )?\[([\w.]+)\]")  # of a table, possibly commented
 #: Messages for missing keys that need more than "is needed".
 _NEEDED = {
     "background.frames": "is needed: choose a recording of the empty glass",
@@ -106,6 +108,8 @@ class Draft:
             FingerflowError: a parent of the key is not a table, or TOML has no such value.
         """
         *tables, last = keys
+        if value is not None and len(tables) == 1:
+            self._uncomment(tables[0], last)
         place: Any = self._document
         around = []
         for name in tables:
@@ -127,6 +131,24 @@ class Draft:
             for outer, name in reversed(around):
                 if not len(outer[name]) and not _is_needed(name):
                     del outer[name]
+
+    def _uncomment(self, table: str, key: str) -> None:
+        """Turn a commented line of a key, and a commented heading of its table, into values, where they stand."""
+        known = self.table(table)
+        if key in known:
+            return
+        lines, heading, number = self.text.splitlines(keepends=True), "", 0
+        for k, line in enumerate(lines):
+            if found := _HEADING.match(line):
+                heading, number = found[1], k
+            elif heading == table and line.startswith(f"# {key} = "):
+                if lines[number].startswith("# "):
+                    if known:  # the table stands elsewhere
+                        return
+                    lines[number] = lines[number].removeprefix("# ")
+                lines[k] = line.removeprefix("# ")
+                self._document = _parsed("".join(lines), self.path)
+                return
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
         """Set the kind of the scene, replacing views that do not suit it by default views.
@@ -163,11 +185,28 @@ class Draft:
         return path
 
 
-def files_beside(path: Path) -> list[str]:
-    """Return up to 300 names of files in the folder of a path, without hidden files, as choices for an input field."""
+def names_in(folder: Path) -> tuple[list[str], list[str]]:
+    """Return the names of folders and of files in a folder, at most 300 of each, without hidden ones.
+
+    Raises FingerflowError if the folder cannot be read.
+    """
     try:
-        return sorted(one.name for one in path.parent.iterdir() if not one.name.startswith("."))[:_MOST_FILES]
-    except OSError:
+        found = sorted((one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: one.name)
+        folders = {one.name for one in found if one.is_dir()}
+    except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
+        raise FingerflowError(f"{folder}: cannot be read ({error}); choose another folder") from None
+    names = [one.name for one in found]
+    return [one for one in names if one in folders][:_MOST_FILES], [one for one in names if one not in folders][
+        :_MOST_FILES
+    ]
+
+
+def files_beside(path: Path) -> list[str]:
+    """Return the names of files and folders in the folder of a path, as choices for an input field."""
+    try:
+        folders, files = names_in(path.parent)
+        return sorted([*folders, *files])
+    except FingerflowError:
         return []
 
 

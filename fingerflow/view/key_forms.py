@@ -6,6 +6,7 @@ from fingerflow.schema.scene_keys import (
     SCENE,
     Choice,
     Column,
+    Each,
     File,
     NumberType,
     SceneKey,
@@ -63,7 +64,9 @@ def _input(kind: Type) -> dict[str, Any]:
         case Text():
             return {"input": "text"}
         case Column():
-            return {"input": "column"}
+            return {"input": "column", "several": kind.several}
+        case Each(among=(1, -1)):
+            return {"input": "signs"}
         case _:
             return {"input": "toml"}  # a matrix or polygon, as TOML text
 

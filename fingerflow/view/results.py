@@ -12,6 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.results.result import open_result
 from fingerflow.schema.variable_record import LABELS
+from fingerflow.schema.variables import shown_unit
 
 _SAMPLED = 24  # frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at its end
@@ -53,6 +54,7 @@ class Results:
             "frames": data.sizes["frame"],
             "first_frame": int(data["frame"][0]),
             "points": data.sizes.get("point", 0),
+            "frame_of_most_contact": self._frame_of_most_contact(),
             "warnings": json.loads(data.attrs["warnings"]),
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
@@ -67,6 +69,14 @@ class Results:
             "cells": [name for name in data if data[name].dims[1:] == ("cell_row", "cell_column")],
             "arrow_scale": self._arrow_scale(),
         }
+
+    def _frame_of_most_contact(self) -> int:
+        """Return the index of the frame with the largest normal force, or the largest gross area; else the middle."""
+        for name in ("normal_force", "gross_contact_area"):
+            values = self._courses.get(name)
+            if values is not None and np.isfinite(values).any():
+                return int(np.nanargmax(values))
+        return int(self.data.sizes["frame"]) // 2
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return numbers and arrays of a frame, given by its index in the result; `shown` is the key of a map, or None.
@@ -140,10 +150,11 @@ class Results:
     def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
         """Return time series as CSV text with one row per frame, with medians of a variable over selected points."""
         columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
-        columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
+        for key in keys:
+            columns |= self._column(key, key, self.course(key))
         if point_key and len(points):
             said = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
-            columns[f"{point_key} of {said} ({self._units(point_key)})"] = median_of(self.of_points(point_key, points))
+            columns |= self._column(point_key, f"{point_key} of {said}", median_of(self.of_points(point_key, points)))
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
@@ -163,7 +174,7 @@ class Results:
             columns = {"point": np.arange(len(place)), "x (mm)": place[:, 0], "y (mm)": place[:, 1]}
             columns["status"] = arrays["status"]
         if shown is not None:
-            columns[f"{shown} ({self._units(shown)})"] = arrays["shown"]
+            columns |= self._column(shown, shown, arrays["shown"].astype(float))
         return _csv(columns)
 
     def _menu_entries(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
@@ -194,8 +205,11 @@ class Results:
             raise FingerflowError(f"{self.path} has no {name!r}: it holds {', '.join(sorted(map(str, self.data)))}")
         return name
 
-    def _units(self, key: str) -> str:
-        return str(self.data[self._name(key)].attrs.get("units", ""))
+    def _column(self, key: str, heading: str, values: Values) -> dict[str, Values]:
+        """Return a column of a table in the shown unit of the variable, by its heading."""
+        name = self._name(key)
+        unit = shown_unit(name, str(self.data[name].attrs.get("units", "")))
+        return {unit.heading(heading): unit.factor * values}
 
     def _of_frame(self, key: str, frame: int) -> Values:
         name = self._name(key)

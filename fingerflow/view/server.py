@@ -1,5 +1,6 @@
 """HTTP server of the page, which passes requests to a session."""
 
+import os
 import re
 import socket
 import threading
@@ -17,6 +18,7 @@ from starlette.staticfiles import StaticFiles
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.json_value import json_value
+from fingerflow.schema.variable_record import IN_PERCENT
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.view.bodies import (
     Body,
@@ -140,8 +142,10 @@ def application(session: Session) -> Starlette:
 
     routes = [
         Route("/api/ready", _get(lambda _: session.ready())),
-        Route("/api/variables", _get(lambda _: {name: one.shown() for name, one in VARIABLES.items()})),
+        Route("/api/variables", _get(_variables)),
+        Route("/api/percent", _post(_switch_unit, Body), methods=["POST"]),
         Route("/api/setup", _get(lambda _: session.setup())),
+        Route("/api/folder", _get(lambda request: session.folder(request.query_params.get("at", "")))),
         Route("/api/frame", _get(frame)),
         Route("/api/points", _get(lambda _: session.points())),
         Route("/api/forces", _get(lambda _: session.forces())),
@@ -165,6 +169,16 @@ def application(session: Session) -> Starlette:
     ]
     handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
     return Starlette(routes=routes, exception_handlers=handlers)
+
+
+def _variables(_: object) -> dict[str, dict[str, object]]:
+    return {name: one.shown() for name, one in VARIABLES.items()}
+
+
+def _switch_unit(_: object) -> dict[str, dict[str, object]]:
+    """Switch deformation between both units, for the page and all that it writes; return the variables as shown."""
+    os.environ[IN_PERCENT] = "0" if os.environ.get(IN_PERCENT) == "1" else "1"
+    return _variables(_)
 
 
 def _get(answer: Answer) -> Callable[[Request], Any]:

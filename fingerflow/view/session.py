@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.views import View
 from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
-from fingerflow.view.draft import Draft, files_beside
+from fingerflow.view.draft import Draft, files_beside, names_in
 from fingerflow.view.key_forms import forms
 from fingerflow.view.open_path import RESULT, Opened
 from fingerflow.view.pictures import Pictures
@@ -103,6 +104,14 @@ class Session:
                     said = "is needed: the recording does not state it (Hz)"
                     facts["problems"].append({"key": "recording.frame_rate", "said": said})
             return facts
+
+    def folder(self, at: str) -> Facts:
+        """Return the folders and files in a folder, which is given relative to that of the scene file."""
+        start = self._drafted().path.parent
+        folder = (start / at).resolve()
+        folders, files = names_in(folder)
+        relative = os.path.relpath(folder, start).replace(os.sep, "/")
+        return {"folder": str(folder), "at": "" if relative == "." else relative, "folders": folders, "files": files}
 
     def frame(self, frame: int, contact: bool) -> bytes:
         """Return the image of a frame (index in the file) as packed bytes, with the predicted contact if requested."""

@@ -36,6 +36,17 @@ def test_info_as_json(command: Command, tmp_path: Path, capsys: Printed) -> None
     assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
 
 
+def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed) -> None:
+    (tmp_path / "forces.csv").write_text("time (ms),Fz (mN)\n0,1\n2,5\n4,3\n")
+    assert command("info", tmp_path / "forces.csv", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["sample_rate_hz"] == pytest.approx(500)
+    assert facts["columns"] == {"time": "3 samples of 0 to 4 ms", "Fz": "3 samples of 1 to 5 mN"}
+    (tmp_path / "forces.csv").write_text("nothing")
+    assert command("info", tmp_path / "forces.csv") == 2
+    assert "forces.csv" in capsys.readouterr().err
+
+
 def test_version_of_the_command_and_of_the_module(command: Command, capsys: Printed) -> None:
     assert command("--version") == 0
     said = capsys.readouterr().out

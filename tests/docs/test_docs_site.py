@@ -43,11 +43,20 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the built site; another test runs the notebooks."""
-    for module in ("sphinx", "furo", "myst_nb"):
+    """Return the folder of the built site; another test runs the scripts of the gallery."""
+    for module in ("sphinx", "furo", "myst_parser", "sphinx_gallery"):
         pytest.importorskip(module, reason="the site is not built: pip install 'fingerflow-engine[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "nb_execution_mode=off"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-D",
+        "sphinx_gallery_conf.filename_pattern=none",
+    ]
     built = subprocess.run([*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     return folder
@@ -109,4 +118,6 @@ def test_versions_are_equal() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert project["version"] == fingerflow.__version__
     assert re.search(rf"^version: {re.escape(fingerflow.__version__)}$", citation, re.MULTILINE)
+    recipe = (ROOT / "docs" / "release" / "recipe.yaml").read_text(encoding="utf-8")
+    assert f"  version: {fingerflow.__version__}\n" in recipe
     assert f"## {fingerflow.__version__}" in changes

@@ -116,7 +116,7 @@ def test_files_are_carried_as_they_are(bundle: Path) -> None:
 
 
 def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
-    package, carried = carried_modules.PACKAGE, carried_modules.carried()
+    package, carried = carried_modules.PACKAGE, carried_modules.modules_to_carry()
     files = [file for room in ("player", "engines", "tracker", "schema") for file in (package / room).rglob("*.py")]
     left_out = {str(file.relative_to(package)) for file in files if file not in carried.values()}
     assert left_out == {"engines/torch.py"}, f"they need more to load than {carried_modules.ON_THE_LAB_PC}"
@@ -133,7 +133,7 @@ sys.modules.update({name: None for name in ("torch", "scipy", "h5py", "cv2", "av
 for name in sys.argv[1:]:
     assert Path(import_module(name).__file__).is_relative_to(Path.cwd()), name
 """
-    command = [sys.executable, "-c", code, *carried_modules.carried()]
+    command = [sys.executable, "-c", code, *carried_modules.modules_to_carry()]
     ended = subprocess.run(command, cwd=bundle, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
 

@@ -14,7 +14,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
 from fingerflow.export.recipe import GRAPHS, load_recipe
-from fingerflow.export.verification_frames import cases, completed, feed
+from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """
@@ -157,7 +157,7 @@ def test_float64_reference_is_another_precision() -> None:
     """The verification compares with numbers that are really computed in float64."""
     recipe = load_recipe(Path(__file__).parents[2] / "export" / "fast.toml")
     fields = build(recipe, torch.float64)["fields"]
-    case = completed(recipe, cases(recipe, 1)[0])
-    given = feed("fields", fields, case)
+    case = complete_inputs(recipe, cases(recipe, 1)[0])
+    given = inputs_of("fields", fields, case)
     results = fields.run({name: one.double() if one.is_floating_point() else one for name, one in given.items()})
     assert {one.dtype for one in results.values() if one.is_floating_point()} == {torch.float64}

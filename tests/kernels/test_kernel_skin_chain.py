@@ -48,18 +48,13 @@ def test_same_press(
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 1.5])
-@pytest.mark.parametrize(
-    "given", [{}, {"indentation_m": 2e-4}, {"slide_m": 5e-5}, {"indentation_m": 2e-4, "slide_m": 5e-5}]
-)
-def test_same_laws_and_motions(
-    instruction_set: int, portable: Portable, exponent: float, given: dict[str, float]
-) -> None:
+def test_same_laws(instruction_set: int, portable: Portable, exponent: float) -> None:
     skin = replace(PARAMETERS["lab"], friction_exponent=exponent)
 
     def call() -> PressedChain:
-        return press(torch.tensor([0.2, 0.6]), skin, elements=21, **given)
+        return press(torch.tensor([0.2, 0.6]), skin, elements=21)
 
-    same(call(), once(portable, (exponent, *given), call))
+    same(call(), once(portable, exponent, call))
 
 
 def test_steps_that_never_keep_the_tolerance_end(instruction_set: int, portable: Portable) -> None:
@@ -77,7 +72,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
     state = [torch.zeros(shape, dtype=kind) for shape in ((1, count, 2), (1, 2), (1, count), (1,))]
     numbers, mu, load = (torch.zeros(shape, dtype=kind) for shape in ((1, 10), (1, count), (1, 2, 2)))
     rest = torch.zeros(1, dtype=kind)
-    settings: dict[str, Any] = {"held": (False, False), "most_steps": 0, "tolerance": 1.0, "duration": 1.0}
+    settings: dict[str, Any] = {"most_steps": 0, "tolerance": 1.0, "duration": 1.0}
     with pytest.raises(ValueError, match="numbers is"):
         kernels.press_skin(reference, numbers[:, :9], mu, load, rest, *state, **settings)
     with pytest.raises(ValueError, match="place is"):

@@ -6,11 +6,11 @@ import torch
 from fingerflow.models.skin_forces import Array, Chain
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_motion import Chains
-from fingerflow.models.skin_parameters import named
+from fingerflow.models.skin_parameters import parameter_set
 
 
 def chain_of(elements: int = 41) -> Chain:
-    return Chains.of(named("lab"), elements, torch.Size(())).single(0)
+    return Chains.of(parameter_set("lab"), elements, torch.Size(())).single(0)
 
 
 def nodes_of(chain: Chain) -> Array:
@@ -22,9 +22,9 @@ def begun(chain: Chain) -> State:
     return State(nodes_of(chain), np.zeros(len(chain.reference)))
 
 
-def held_load(newton: float, along: float = 0.0) -> Load:
+def constant_load(newton: float, along: float = 0.0) -> Load:
     force = np.array([along, -newton])
-    return Load(force, force, np.zeros(2, dtype=bool))
+    return Load(force, force)
 
 
 def bent(chain: Chain, size: float = 3e-5) -> Array:

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from chains import begun, chain_of, energy, held_load, nodes_of
-from torch import Tensor
+from chains import begun, chain_of, constant_load, energy, nodes_of
 
 from bench.suites.skin_chain import runge_kutta
 from fingerflow.models import skin_implicit
@@ -127,8 +126,8 @@ def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch
     chain = chain_of(elements=41)._replace(bone_damping=1.0)
     mu = np.full(41, 0.05)
     first = begun(chain)
-    skin_implicit.advance(chain, first, mu, held_load(3.0), 0.2, 1e-9, 0.0)
-    load = skin_implicit.Load(np.array([0.0, -3.0]), np.array([0.02, -2.95]), np.zeros(2, dtype=bool))
+    skin_implicit.advance(chain, first, mu, constant_load(3.0), 0.2, 1e-9, 0.0)
+    load = skin_implicit.Load(np.array([0.0, -3.0]), np.array([0.02, -2.95]))
     monkeypatch.setattr(skin_implicit, "NEWTON", 1e-15)  # of a tolerance of 1 m
     monkeypatch.setattr(skin_implicit, "_step_factor", lambda error: 1.0)
 
@@ -157,7 +156,7 @@ def test_the_tolerance_rules_the_error() -> None:
 def test_the_same_rest_by_explicit_runge_kutta() -> None:
     """SciPy's method of order 5 on the rates of Dahl's force: after 30 ms the same places to 10 nm, the same forces."""
     chain = chain_of(elements=41)._replace(bone_damping=5.0)  # a slow bone: longer steps are stable
-    mu, load, implicit = np.full(41, 0.3), held_load(3.0), begun(chain)
+    mu, load, implicit = np.full(41, 0.3), constant_load(3.0), begun(chain)
     skin_implicit.advance(chain, implicit, mu, load, 0.03, 1e-9, 0.0)
     place, rubbed = runge_kutta(chain, mu, load.first, 0.03)
     assert np.abs(place - implicit.nodes[:-1]).max() < 1e-8
@@ -168,7 +167,7 @@ def test_the_same_rest_by_explicit_runge_kutta() -> None:
 def test_energy_is_only_lost() -> None:
     """Work of the load = stored + lost in dampers + lost in friction, and that is never negative, step by step."""
     chain = chain_of(elements=61)
-    mu, load, state = np.full(61, 0.15), held_load(3.0, along=0.3), begun(chain)
+    mu, load, state = np.full(61, 0.15), constant_load(3.0, along=0.3), begun(chain)
     nodes, rubbed = nodes_of(chain), np.zeros(61)
     lost, damped, worst = 0.0, 0.0, 0.0
     for span in np.diff(np.concatenate(([0.0], np.geomspace(1e-7, 0.05, 400)))):
@@ -185,66 +184,33 @@ def test_energy_is_only_lost() -> None:
     assert energy(chain, nodes) + damped + lost == pytest.approx(work, rel=0.02)
 
 
-def test_load_and_displacement_control_meet() -> None:
-    """The bone pushed to where 3 N took it carries 3 N, without friction, whose history would be another."""
-    forced = press(0.0, elements=101)
-    pushed = press(0.0, elements=101, indentation_m=-forced.bone[1].item())
-    assert pushed.normal_force.sum().item() == pytest.approx(3.0, rel=1e-6)
-    assert pushed.bone[1].item() == pytest.approx(forced.bone[1].item(), rel=1e-12)
-    assert pushed.balance < 1e-6
-    torch.testing.assert_close(pushed.position, forced.position, rtol=0, atol=1e-10)
-
-
 def test_a_tangential_load_is_carried_by_friction() -> None:
     pulled = press(0.8, elements=101, tangential_n=0.5)
     assert pulled.balance < 1e-6 * 3.5
     assert pulled.friction_force.sum().item() == pytest.approx(-0.5, rel=1e-6)
     assert pulled.bone[0] > 0
-    slid = press(0.8, elements=101, slide_m=pulled.bone[0].item())
-    assert slid.friction_force.sum().item() == pytest.approx(-0.5, rel=0.1)  # on another way
     over = press(0.1, elements=41, tangential_n=1.0, longest_s=0.02)
     assert over.balance > 0.1  # no rest: it says so
     assert over.friction_force.sum().item() == pytest.approx(-0.3, rel=0.02)
 
 
-def test_friction_that_varies_along_the_plate() -> None:
-    """Slippery to the right: the skin spreads there, and the bone is pushed aside."""
-    found = press(lambda time, x: torch.where(x > 0, 0.0, 1.0), elements=101)
-    assert bool((found.coefficient[:50] == 1).all())
-    assert bool((found.friction_force[51:] == 0).all())
-    assert found.displacement[:, 0].max() > 2 * -found.displacement[:, 0].min()
-    assert found.balance < 3e-6
-
-
-def test_a_force_trace_and_friction_in_time() -> None:
-    """To 3 N and back; when the plate begins to vibrate, friction falls and the skin lets go."""
+def test_a_force_trace() -> None:
+    """To 3 N and back."""
     time = torch.tensor([0.0, 0.5, 1.0, 1.5], dtype=torch.float64)
     load = torch.tensor([0.0, 3.0, 3.0, 0.0], dtype=torch.float64)
-    seen = []
-
-    def friction(now: float, x: Tensor) -> Tensor:
-        seen.append(now)
-        return torch.full_like(x, 1.0 if now < 0.8 else 0.02)
-
-    found = follow(friction, time, load, elements=101)
-    assert seen == time.tolist()
+    found = follow(1.0, time, load, elements=101)
     assert found.position.shape == (4, 101, 2)
     assert found.time.tolist() == pytest.approx(time.tolist())
     assert found.normal_force.sum(-1).tolist() == pytest.approx([0, 3, 3, 0], abs=0.05)
-    assert found.friction_force[2].abs().sum() < 0.7 * found.friction_force[1].abs().sum()
-    stuck = follow(1.0, time, load, elements=101)
-    torch.testing.assert_close(stuck.position[1], found.position[1], rtol=0, atol=1e-15)
-    assert found.divergence[2] > 1.1 * stuck.divergence[2]
     assert math.isnan(found.divergence[0])
     batch = follow(torch.tensor([0.1, 1.0]), time, load, elements=101)
-    torch.testing.assert_close(batch.position[:, 1], stuck.position, rtol=0, atol=1e-13)
+    torch.testing.assert_close(batch.position[:, 1], found.position, rtol=0, atol=1e-13)
 
 
 def test_what_has_no_derivative_says_so() -> None:
     needed = torch.tensor(0.1, requires_grad=True)
     for call in (
         lambda: press(needed, elements=11),
-        lambda: press(lambda time, x: needed, elements=11),
         lambda: press(0.1, replace(LAB, radius=needed), elements=11),
         lambda: follow(0.1, torch.tensor([0.0, 0.1]), needed, elements=11),
     ):

@@ -153,6 +153,17 @@ def test_results_survive_the_disk_and_a_failed_write_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
+def test_frames_are_selected_by_time(result: xr.Dataset, tmp_path: Path) -> None:
+    """In memory and read again; also after a choice of frames, and with the number of the frame as before."""
+    save_result(result, tmp_path / "result.h5")
+    times = result["time"].values
+    for given in (result, load_result(tmp_path / "result.h5"), result.isel(frame=slice(2, None))):
+        near = given.sel(time=times[5] + 0.2 * (times[6] - times[5]), method="nearest")
+        assert int(near["frame"]) == int(result["frame"][5])
+        assert given.sel(time=slice(times[4], times[6])).sizes["frame"] == 3
+        assert float(given.sel(frame=int(result["frame"][4]))["time"]) == times[4]
+
+
 def test_unknown_output_is_named(scene: Scene) -> None:
     with pytest.raises(FingerflowError, match="did you mean 'real_contact_area'"):
         process(scene, ["real_contact_aera"])

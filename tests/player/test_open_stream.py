@@ -79,4 +79,4 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
     table = scipy.io.loadmat(tmp_path / "table.mat")
     np.testing.assert_array_equal(table["real_contact_area"].ravel(), np.arange(8) * 200.0)
     assert table["position_px"].shape == (8, 10, 2)
-    assert "real_contact_area (mm2)" in (tmp_path / "table.csv").read_text().splitlines()[0].split(",")
+    assert "real_contact_area (mm²)" in (tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()[0].split(",")

@@ -212,6 +212,11 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     legend = " ".join(page.inner_text("#pointLegend").split())
     assert re.match(r"(\d+ points with divergence: \u2212(\S+ µm/mm) ?\2|0 points with divergence) \d+ not in", legend)
     assert page.is_visible("#divergenceCard")
+    page.click("#unit")
+    page.wait_for_selector("#divergenceTitle:text-is('Median divergence, %')")
+    assert page.inner_text("#unit") == "Deformation in %"
+    page.click("#unit")
+    page.wait_for_selector("#divergenceTitle:text-is('Median divergence, µm/mm')")
     assert "Real contact area, mm\u00b2" in page.inner_text("#truth")
     page.click("#restart")
     page.wait_for_timeout(300)

@@ -386,12 +386,12 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     stream.run("--source", "synthetic", "--frames", "5")
     table = stream.folder / "table.csv"
     player.write_table(stream.folder / "results", table)
-    lines = table.read_text().splitlines()
+    lines = table.read_text(encoding="utf-8").splitlines()
     assert lines[0] == (
-        "frame,time (s),latency (s),frame_status (1),key_frame (1),restart (1),contact_threshold (1),"
-        "real_contact_area (mm2),gross_contact_area (mm2),ellipse_center_x (mm),ellipse_center_y (mm),"
-        "ellipse_semi_axes_major (mm),ellipse_semi_axes_minor (mm),ellipse_angle (rad),illumination_gain (1),"
-        "median_divergence (1),slip_residual (mm),slip_flag (1)"
+        "frame,time (s),latency (ms),frame_status,key_frame,restart,contact_threshold,"
+        "real_contact_area (mm²),gross_contact_area (mm²),ellipse_center_x (mm),ellipse_center_y (mm),"
+        "ellipse_semi_axes_major (mm),ellipse_semi_axes_minor (mm),ellipse_angle (°),illumination_gain,"
+        "median_divergence (µm/mm),slip_residual (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):

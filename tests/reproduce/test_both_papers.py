@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
 from fingerflow.reproduce.drawn_figure import DrawnFigure
-from fingerflow.reproduce.paper_page import TITLES, PaperResults, read_results, write_page, write_results
+from fingerflow.reproduce.paper_page import TITLES, read_results, write_page, write_results
 from fingerflow.reproduce.printed_row import AGREES, DIFFERS, NOT_HAD, UNEXPLAINED, Answer
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "reproduced"
 
 
-def found(paper: str = "slip") -> PaperResults:
+def write_some(folder: Path, paper: str = "slip") -> None:
     rows = [
         Answer("A1", "trials", "10", "2.2", "9 < 10", "10", DIFFERS, "one <failed>"),
         Answer("A2", "outcome", "4", "3", "4", "4", AGREES, ""),
@@ -26,11 +26,11 @@ def found(paper: str = "slip") -> PaperResults:
         DrawnFigure("1", "a picture", "1.png", "the same"),
         DrawnFigure("S2", "a photograph", "", "not simulated"),
     ]
-    return PaperResults(paper, "Ten slides.", rows, figures)
+    write_results(folder, paper, "Ten slides.", rows, figures)
 
 
 def test_the_page_has_every_row_and_figure_as_text(tmp_path: Path) -> None:
-    write_results(found(), tmp_path)
+    write_some(tmp_path)
     page = write_page(tmp_path).read_text(encoding="utf-8")
     assert "one &lt;failed&gt;" in page
     assert "9 &lt; 10" in page
@@ -41,7 +41,7 @@ def test_the_page_has_every_row_and_figure_as_text(tmp_path: Path) -> None:
 
 def test_the_page_holds_all_papers_that_were_reproduced(tmp_path: Path) -> None:
     for paper in reversed(TITLES):
-        write_results(found(paper), tmp_path)
+        write_some(tmp_path, paper)
     assert [one["paper"] for one in read_results(tmp_path)] == list(TITLES)
 
 

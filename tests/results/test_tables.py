@@ -19,6 +19,7 @@ from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.results.result import save_result
 from fingerflow.results.tables import export_map, export_table
 from fingerflow.results.tables.grid_maps import maps_of
+from fingerflow.schema.variable_record import IN_PERCENT
 
 FRAMES, POINTS, FIRST = 3, 200, 10
 GRADIENT = np.array([[0.2, -0.1], [0.05, 0.3]])
@@ -72,7 +73,7 @@ def read(path: Path) -> tuple[list[str], np.ndarray]:
 def test_a_row_a_frame(result: xr.Dataset, tmp_path: Path) -> None:
     export_table(result, tmp_path / "frames.csv")
     names, rows = read(tmp_path / "frames.csv")
-    assert names == ["frame", "time (s)", "real_contact_area (mm2)"]
+    assert names == ["frame", "time (s)", "real_contact_area (mm²)"]
     np.testing.assert_allclose(rows[:, 2], result["real_contact_area"], rtol=1e-8)
 
 
@@ -84,25 +85,43 @@ def test_a_row_a_point(result: xr.Dataset, tmp_path: Path) -> None:
     np.testing.assert_array_equal(column["frame"][:, 0], result["frame"])
     np.testing.assert_allclose(column["time (s)"][:, 5], result["time"])
     np.testing.assert_array_equal(column["point"][1], np.arange(POINTS))
-    np.testing.assert_allclose(column["divergence (1)"], result["divergence"], rtol=1e-8)
-    np.testing.assert_allclose(column["displacement_y (mm)"], result["displacement"][..., 1], rtol=1e-7)
-    np.testing.assert_array_equal(column["onset_frame (1)"][2], result["onset_frame"])
+    np.testing.assert_allclose(column["divergence (µm/mm)"], 1e3 * result["divergence"], rtol=1e-8)
+    np.testing.assert_allclose(column["displacement_y (µm)"], 1e3 * result["displacement"][..., 1], rtol=1e-7)
+    np.testing.assert_array_equal(column["onset_frame"][2], result["onset_frame"])
     export_table(result, tmp_path / "one.csv", "point", ["divergence"])
-    assert read(tmp_path / "one.csv")[0] == ["frame", "time (s)", "point", "divergence (1)"]
+    assert read(tmp_path / "one.csv")[0] == ["frame", "time (s)", "point", "divergence (µm/mm)"]
 
 
 def test_tracks_as_napari_takes_them(result: xr.Dataset, tmp_path: Path) -> None:
     """ID, t, y, x; sorted by ID, then by time; every place finite (napari refuses others)."""
     export_table(result, tmp_path / "tracks.csv", "track", ["divergence"])
     names, rows = read(tmp_path / "tracks.csv")
-    assert names == ["track_id", "t", "y", "x", "divergence (1)"]
+    assert names == ["track_id", "t", "y", "x", "divergence (µm/mm)"]
     assert len(rows) == FRAMES * POINTS - 1
     assert np.isfinite(rows).all()
     assert (np.lexsort((rows[:, 1], rows[:, 0])) == np.arange(len(rows))).all()
     of_five = rows[rows[:, 0] == 5]
     np.testing.assert_allclose(of_five[:, [3, 2]], result["position_px"][:, 5], rtol=1e-8)
-    np.testing.assert_allclose(of_five[:, 4], result["divergence"][:, 5], rtol=1e-8)
+    np.testing.assert_allclose(of_five[:, 4], 1e3 * result["divergence"][:, 5], rtol=1e-8)
     np.testing.assert_array_equal(rows[rows[:, 0] == 7][:, 1], [FIRST, FIRST + 1])
+
+
+def test_one_switch_shows_deformation_in_percent(
+    result: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables, maps, axes and pages take the unit from the record; what has no unit in % keeps its own."""
+    monkeypatch.setenv(IN_PERCENT, "1")
+    export_table(result, tmp_path / "tracks.csv", "track", ["divergence", "displacement"])
+    names, rows = read(tmp_path / "tracks.csv")
+    assert names[4:] == ["divergence (%)", "displacement_x (µm)", "displacement_y (µm)"]
+    np.testing.assert_allclose(rows[rows[:, 0] == 5, 4], 100 * result["divergence"][:, 5], rtol=1e-8)
+    maps = maps_of(result, "divergence", 0.2)
+    assert "divergence in %" in maps.about
+    assert VARIABLES["median_divergence_rate"].axis_label == "median divergence rate (%/s)"
+    assert VARIABLES["divergence"].shown()["percent"] is None
+    monkeypatch.delenv(IN_PERCENT)
+    assert VARIABLES["divergence"].shown()["percent"] == {"unit": "%", "factor": 100.0}
+    np.testing.assert_allclose(maps_of(result, "divergence", 0.2).values, 10 * maps.values, rtol=1e-5)
 
 
 def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_path: Path) -> None:
@@ -131,7 +150,7 @@ def test_a_linear_field_is_mapped_exactly(result: xr.Dataset) -> None:
         known = np.isfinite(maps.values[frame, 0])
         # 4 x 3 mm in places of 0.04 mm^2, less the border that no triangle covers.
         assert 0.8 * 300 < known.sum() <= 336
-        np.testing.assert_allclose(maps.values[frame].transpose(1, 2, 0)[known], truth[known], atol=1e-6)
+        np.testing.assert_allclose(maps.values[frame].transpose(1, 2, 0)[known], 1e3 * truth[known], atol=1e-3)
 
 
 def test_where_no_point_is_near_nothing_is_known(result: xr.Dataset) -> None:
@@ -151,7 +170,7 @@ def test_triangles_are_mapped_as_they_lie(result: xr.Dataset) -> None:
     drifted = Delaunay(result["position"].values[0])
     found = drifted.find_simplex(np.stack([x, y], -1))
     assert (np.sort(drifted.simplices, 1) == np.sort(result["triangles"].values, 1)).all()
-    values = np.where(np.isnan(maps.values[0, 0]), -1, maps.values[0, 0]).astype(int)
+    values = np.where(np.isnan(maps.values[0, 0]), -1, (maps.values[0, 0] / 1e3).round()).astype(int)
     assert (values == found).mean() > 0.999  # a place on a side belongs to either triangle
 
 
@@ -177,8 +196,8 @@ def test_imagej_reads_scale_and_interval(result: xr.Dataset, tmp_path: Path) -> 
 def test_a_map_as_a_table(result: xr.Dataset, tmp_path: Path) -> None:
     export_map(result, tmp_path / "map.csv", "divergence", 0.2)
     names, rows = read(tmp_path / "map.csv")
-    assert names == ["frame", "time (s)", "x (mm)", "y (mm)", "divergence (1)"]
-    np.testing.assert_allclose(rows[:, 4], rows[:, 2:4] @ [0.3, -0.2] + 1, atol=1e-6)
+    assert names == ["frame", "time (s)", "x (mm)", "y (mm)", "divergence (µm/mm)"]
+    np.testing.assert_allclose(rows[:, 4], 1e3 * (rows[:, 2:4] @ [0.3, -0.2] + 1), atol=1e-3)
     assert set(rows[:, 0]) == {FIRST, FIRST + 1, FIRST + 2}
 
 

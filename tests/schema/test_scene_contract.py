@@ -116,6 +116,7 @@ def test_the_validated_scene_has_the_keys_of_the_contract() -> None:
         "fields": package.FieldSettings,
         "slip": package.SlipSettings,
         "stream": package.StreamSettings,
+        "rig": package.RigSettings,
     }
     assert types.keys() == SCENE.keys()
     assert {field.name for field in fields(package.Scene)} == {"path", "kind", "views", *types}

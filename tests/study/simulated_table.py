@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from fingerflow.models.skin_chain import press
-from fingerflow.models.skin_parameters import named
+from fingerflow.models.skin_parameters import parameter_set
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
@@ -59,8 +59,8 @@ class TableDesign:
         """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
         amplitudes, (low, high) = np.asarray(self.amplitudes), self.friction
         friction = torch.from_numpy(low * (high / low) ** (amplitudes / amplitudes.max()))
-        found = [press(friction, named("paper").softer(soft), load_n=_LOAD_N).divergence for soft in self.softness]
-        return np.asarray(torch.stack(found))
+        skins = [parameter_set("paper").softer(soft) for soft in self.softness]
+        return np.asarray(torch.stack([press(friction, skin, load_n=_LOAD_N).divergence for skin in skins]))
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,7 @@ def test_empty_and_dark_pictures_differ_in_their_noise_only() -> None:
 def test_times_count_from_the_trigger(kind: type[SyntheticScene]) -> None:
     scene = kind(n_frames=40, frame_rate=100.0, frames_before_trigger=5)
     assert scene.times[[0, 5, 39]] == pytest.approx([-0.05, 0.0, 0.34])
+    assert (np.diff(scene.progress(scene.times)) >= 0).all()
     forces = scene.forces()
     assert np.diff(forces.time) == pytest.approx(1e-4)
     assert forces.time[0] <= scene.times[0]
@@ -128,15 +129,6 @@ def test_press_force_rises_smoothly_and_area_follows_it() -> None:
     # Semi-axes grow as force^(1/4).
     np.testing.assert_allclose(area, math.pi * 5.5 * 4.5 * np.sqrt(force / 5), rtol=1e-12)
     assert (area == 0).sum() > 12
-
-
-@ANY_SCENE
-def test_time_of_inverts_progress(kind: type[SyntheticScene]) -> None:
-    scene = kind()
-    progress = np.linspace(0.05, 0.99, 50)
-    np.testing.assert_allclose(scene.progress(scene.time_of(progress)), progress, rtol=1e-12)
-    assert np.isnan(scene.time_of(np.array([np.nan]))).all()
-    assert (np.diff(scene.progress(scene.times)) >= 0).all()
 
 
 def test_slide_peels_until_it_slips_as_a_whole() -> None:

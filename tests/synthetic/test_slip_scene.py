@@ -133,7 +133,7 @@ def test_jumps_before_full_slip_are_of_the_skin_that_slips() -> None:
             np.testing.assert_allclose(moved, np.broadcast_to(expected * np.array(motion.direction), (7, 2)), atol=1e-9)
         radius = np.linspace(0, 1, 100_001)
         progress = torch.tensor(jumping.times[frame] / jumping.times[-1], dtype=torch.float64)
-        slipped = motion._slipped(torch.from_numpy(radius), motion.stuck_radius(progress), motion.leapt(progress))
+        slipped = motion._slip_at(torch.from_numpy(radius), motion.stuck_radius(progress), motion.jumped(progress))
         assert jumping.slow_share(frame) == pytest.approx(radius[int((slipped < 0.04).sum())] ** 2, abs=1e-4)
 
 

@@ -1,5 +1,6 @@
 """A scene file that is being set up: comments stay, what others wrote is not replaced, nothing wrong is written."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -140,3 +141,18 @@ def test_what_a_path_is(press: Path, processed: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(press.parent)
     with pytest.raises(FingerflowError, match=r"no scene\.toml"):
         open_path(None)
+
+
+def test_a_key_is_written_where_its_commented_line_stands(press: Path) -> None:
+    draft = Draft.of_recording(open_recording(press / "frames.npy"))
+    draft.set(("forces", "file"), "f.csv")
+    draft.set(("forces", "sign"), [-1, 1, 1])
+    draft.set(("calibration", "mm_per_px"), 0.03)
+    headings = re.split(r"^\[", draft.text, flags=re.MULTILINE)
+    forces, calibration = (
+        next(part for part in headings if part.startswith(name)) for name in ("forces", "calibration")
+    )
+    assert draft.text.count("[forces]") == 1
+    assert re.search(r'^file = "f.csv" .*# CSV', forces, re.MULTILINE)
+    assert re.search(r"^sign = \[-1, 1, 1\] .*# -1 where", forces, re.MULTILINE)
+    assert re.search(r"^mm_per_px = 0.03 .*# of the contact", calibration, re.MULTILINE)

@@ -18,8 +18,8 @@ from fingerflow import load_scene
 from fingerflow.results.result import load_result
 from fingerflow.view.redirect import redirect_file
 from fingerflow.view.server import Served
+from tests.view.walk import choose, fill, set_value, show_frame
 from tests.view.walk import drag as drag_in
-from tests.view.walk import fill, set_value, show_frame
 
 pytestmark = pytest.mark.long
 
@@ -108,7 +108,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         fill(page, "calibration.mm_per_px", str(written.calibration.mm_per_px))
         fill(page, "calibration.topography_to_contact", json.dumps(written.calibration.topography_to_contact))
         fill(page, "forces.file", "forces.csv")
-        fill(page, "forces.normal", "normal_force")
+        choose(page, "forces.normal", "normal_force")
         page.wait_for_selector("#picture[data-mask=true]")
         page.wait_for_selector("#courses:not([hidden])")
 
@@ -150,12 +150,13 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         page.wait_for_selector("#tab-results.on")
         page.wait_for_selector("#map")
         result = load_result(press / "result.h5")
-        page.wait_for_selector("#picture[data-frame='9'][data-mask=true]")
+        largest = int(result["normal_force"].argmax())
+        page.wait_for_selector(f"#picture[data-frame='{largest}'][data-mask=true]")
         said = page.evaluate(
             "() => [...document.querySelectorAll('#panel dt')].find(one => one.textContent == 'real contact area')"
             ".nextSibling.textContent"
         )
-        assert float(said) == pytest.approx(float(result["real_contact_area"][9]), rel=1e-3)
+        assert float(said) == pytest.approx(float(result["real_contact_area"][largest]), rel=1e-3)
 
 
 def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> None:
@@ -298,6 +299,16 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         chart = page.locator("#chart").bounding_box()
         page.locator("#chart").click(position={"x": chart["width"] - 16, "y": 60})
         page.wait_for_selector("#picture[data-frame='11']")
+
+        # One button shows deformation in the other unit, here and in what is saved.
+        value = "#panel dl div:has(dt:text-is('median divergence')) dd"
+        seen = float(page.locator(value).first.inner_text())
+        page.click("#unit")
+        page.wait_for_selector("#unit:text-is('Deformation in %')")
+        page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('%')")
+        assert float(page.locator(value).first.inner_text()) == pytest.approx(seen / 10, rel=2e-3)
+        page.click("#unit")
+        page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('µm/mm')")
 
         # What is seen can be saved.
         begins = {"save-png": b"\x89PNG", "save-svg": b"<svg", "save-csv": b"point,x (mm)", "chart-png": b"\x89PNG"}

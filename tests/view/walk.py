@@ -33,6 +33,26 @@ def fill(page: Any, key: str, value: str) -> None:
     box.press("Enter")
 
 
+def browse(page: Any, key: str, file: str) -> None:
+    """A file beside the scene, in the dialog of its key, from the folder above."""
+    field = page.locator(f'[data-key="{key}"]')
+    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
+    page.click(f'[aria-label="browse {key}"]')
+    folder = page.text_content("dialog p").rpartition("/")[2]
+    page.click("dialog button:has-text('folder above')")
+    page.click(f"dialog button:text-is('{folder}/')")
+    page.click(f"dialog button:text-is('{file}')")
+    page.wait_for_selector("dialog", state="detached")
+
+
+def choose(page: Any, key: str, column: str) -> None:
+    """A column of the force file, in the menu of its key."""
+    field = page.locator(f'[data-key="{key}"]')
+    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
+    page.wait_for_selector(f'[aria-label="{key}"] option:text-is("{column}")', state="attached")
+    page.select_option(f'[aria-label="{key}"]', label=column)
+
+
 def set_value(page: Any, selector: str, value: float) -> None:
     """Of a field, as while it is typed or dragged."""
     page.locator(selector).evaluate(
@@ -98,15 +118,14 @@ def walk(page: Any, seen: Seen) -> None:
     page.check(_LAYER.format("points"))
     page.check("label.toggle:text-is('contact') input")
 
-    fill(page, "forces.file", "forces.csv")
-    page.wait_for_function("() => document.querySelectorAll('#channels option').length == 4")
-    fill(page, "forces.normal", "normal_force")
-    fill(page, "forces.tangential", "tangential_force")
-    fill(page, "forces.trigger", "trigger")
+    browse(page, "forces.file", "forces.csv")
+    choose(page, "forces.normal", "normal_force")
+    choose(page, "forces.tangential", "tangential_force")
+    choose(page, "forces.trigger", "trigger")
     fill(page, "forces.trigger_level", "2.5")
     page.wait_for_selector("#error:has-text('sign')")  # it is negative while the finger presses
     page.wait_for_selector("#setup-status:has-text('Cannot process: see the error above')")
-    fill(page, "forces.sign", "[-1, 1]")
+    page.click('[aria-label="forces.sign 1"]')
     page.wait_for_selector("#courses:not([hidden])")
     settled(page)
 

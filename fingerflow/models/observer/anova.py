@@ -15,9 +15,8 @@ Values = NDArray[np.float64]
 class Anova:
     """Result of an analysis of variance: F statistic, degrees of freedom, p-value, effect size eta^2, trials per group.
 
-    eta^2 is the share of the variance that lies between groups.
-
-    `participants` is 0 where trials count as independent. `epsilon` scales both degrees of freedom for p.
+    eta^2 is the share of the variance that lies between groups. `participants` is 0 where trials count as independent.
+    `epsilon` scales both degrees of freedom for p.
     """
 
     f: float

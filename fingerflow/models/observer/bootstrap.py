@@ -43,8 +43,7 @@ class Samples:
 def samples_of(
     kinds: Sequence[ArrayLike], participants: Sequence[ArrayLike] | None
 ) -> tuple[list[Values], Samples, int]:
-    """Remove NaN trials from samples of a metric; return the samples, each trial's resampling unit, and the number
-    removed.
+    """Remove NaN trials from samples of a metric; return samples, resampling unit of each trial, and number removed.
 
     Raises:
         ValueError: infinite values, or participants whose shapes do not match the values.
@@ -70,8 +69,7 @@ def samples_of(
 def bca_interval(
     statistic: Statistic, samples: Samples, level: float, resamples: int, seed: int
 ) -> tuple[Interval, str]:
-    """Compute the BCa bootstrap interval of a statistic, and a text that explains a missing interval or dropped
-    resamples.
+    """Compute the BCa bootstrap interval of a statistic; the text explains a missing interval or dropped resamples.
 
     Efron's BCa takes quantiles of the bootstrap, shifted by its bias and by the acceleration from a jackknife over the
     same units. It is too narrow for few units; its normal quantiles are therefore replaced by those of Student's t
@@ -139,15 +137,11 @@ def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
 
 def _acceleration(statistic: Statistic, samples: Samples) -> float:
     """Compute the acceleration of BCa from the jackknife influence of each unit (Efron & Tibshirani 1993, 14.15)."""
-    influences = []
-    if samples.participants:
-        left = _each(statistic, _without_one(samples, range(len(samples.sizes)), samples.participants))
-        influences.append(np.nanmean(left) - left)
-    else:
-        for sample, size in enumerate(samples.sizes):
-            left = _each(statistic, _without_one(samples, [sample], size))
-            influences.append(np.nanmean(left) - left)
-    influence = np.concatenate(influences)
+    every = range(len(samples.sizes))
+    # A participant is left out of all samples, a trial of its own one.
+    parts = [(every, samples.participants)] if samples.participants else [([k], samples.sizes[k]) for k in every]
+    left = [_each(statistic, _without_one(samples, changed, units)) for changed, units in parts]
+    influence = np.concatenate([np.nanmean(values) - values for values in left])
     influence = influence[np.isfinite(influence)]
     second = float((influence**2).sum())
     return float((influence**3).sum()) / (6 * second**1.5) if second > 0 else 0.0

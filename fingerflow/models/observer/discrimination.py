@@ -1,4 +1,4 @@
-"""Discrimination of correct from incorrect trials by a metric: d', area under the ROC, and criterion."""
+"""Estimate how well a metric discriminates correct from incorrect trials: d', area under the ROC, and criterion."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from fingerflow.models.observer.bootstrap import Participants, Statistic, Values, bca_interval, samples_of
 from fingerflow.models.observer.estimate import UNKNOWN, Estimate
-from fingerflow.models.observer.weighted import auc_statistic, deviation, mean
 
 
 def d_prime(
@@ -44,7 +43,11 @@ def d_prime(
     """
 
     def of(values: list[Values]) -> Statistic:
-        return lambda first, second: _d_prime(values, first, second)
+        def statistic(first: Values, second: Values) -> Values:
+            variance = (_deviation(values[0], first) ** 2 + _deviation(values[1], second) ** 2) / 2
+            return (_mean(values[0], first) - _mean(values[1], second)) / np.sqrt(variance)
+
+        return statistic
 
     return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
 
@@ -60,14 +63,12 @@ def auc(
 ) -> Estimate:
     """Estimate the area under the ROC: the probability that a correct trial has a larger metric than an incorrect one.
 
-    Ties count half.
-
-    1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason, if a kind has no
-    trial. There is no interval if the two kinds do not overlap, because every resample then gives the same area.
-    Arguments and errors are those of `d_prime`.
+    Ties count half. 1/2 is chance; below 1/2 correct trials have the smaller metric. The value is NaN, with the reason,
+    if a kind has no trial. There is no interval if the two kinds do not overlap, because every resample then gives the
+    same area. Arguments and errors are those of `d_prime`.
     """
     return _estimate(
-        (correct, incorrect), lambda values: auc_statistic(*values), 1, participants, level, resamples, seed
+        (correct, incorrect), lambda values: _auc_statistic(*values), 1, participants, level, resamples, seed
     )
 
 
@@ -106,7 +107,7 @@ def compare_auc(
     others = [other[both] for both, (_, other) in zip(known, pairs, strict=True)]
 
     def of(values: list[Values]) -> Statistic:
-        first_area, second_area = auc_statistic(*values), auc_statistic(*others)
+        first_area, second_area = _auc_statistic(*values), _auc_statistic(*others)
         return lambda correct, incorrect: first_area(correct, incorrect) - second_area(correct, incorrect)
 
     return _estimate(kinds, of, 1, participants, level, resamples, seed)
@@ -167,11 +168,6 @@ def _estimate(
     return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
 
 
-def _d_prime(values: list[Values], first: Values, second: Values) -> Values:
-    variance = (deviation(values[0], first) ** 2 + deviation(values[1], second) ** 2) / 2
-    return (mean(values[0], first) - mean(values[1], second)) / np.sqrt(variance)
-
-
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
     """Return the quantile at `share` of each of R bootstrap resamples (R,).
 
@@ -181,10 +177,42 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
     ranked, counts = values[order], weights[:, order].cumsum(1)
     place = share * (counts[:, -1] - 1)
     lower = np.floor(place)
+    upper = np.minimum(lower + 1, counts[:, -1] - 1)
     # The k-th of the drawn values is the first one whose count passes k.
-    ends = (
-        ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, np.minimum(lower + 1, counts[:, -1] - 1))
-    )
-    low, high = ends
-    result: Values = low + (place - lower) * (high - low)
-    return result
+    low, high = (ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, upper))
+    return np.asarray(low + (place - lower) * (high - low))
+
+
+def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
+    """Return a function that computes R areas under the ROC from R sets of trial weights (R, n_1) and (R, n_2)."""
+    values = np.concatenate([correct, incorrect])
+    order = np.argsort(values, kind="stable")
+    starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)
+    is_correct = order < correct.size
+
+    def area(first: Values, second: Values) -> Values:
+        ranked = np.concatenate([first, second], axis=1)[:, order]
+        hits = np.where(is_correct, ranked, 0)
+        misses = ranked - hits
+        if starts.size < values.size:  # equal values are one step of the curve
+            hits, misses = (np.add.reduceat(some, starts, axis=1) for some in (hits, misses))
+        below = misses.cumsum(1) - misses / 2
+        return np.asarray((hits * below).sum(1) / (hits.sum(1) * misses.sum(1)))
+
+    return area
+
+
+def _mean(values: Values, weights: Values) -> Values:
+    """Return the means (R,) of values (N,) under R sets of weights (R, N)."""
+    return np.asarray(weights @ values / weights.sum(1))
+
+
+def _deviation(values: Values, weights: Values) -> Values:
+    """Return standard deviations (R,) of values (N,) under weights (R, N), with n - 1; NaN if no two values differ."""
+    # Centred on the whole sample's mean: sums of squares of values far from 0 would lose precision.
+    centred = values - values.mean()
+    count = weights.sum(1)
+    middle = weights @ centred / count
+    variance = (weights @ centred**2 - count * middle**2) / (count - 1)
+    rounding = 1e-13 * (np.abs(centred).max() ** 2 + np.finfo(np.float64).tiny)
+    return np.sqrt(np.where(variance > rounding, variance, np.nan))

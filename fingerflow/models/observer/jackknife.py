@@ -10,13 +10,11 @@ from fingerflow.models.observer.bootstrap import FEWEST_CLUSTERS
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
 
 
-def jackknifed(estimate: float, without: ArrayLike, level: float) -> tuple[Interval, float, str]:
+def jackknife_interval(estimate: float, without: ArrayLike, level: float) -> tuple[Interval, float, str]:
     """Return the jackknife interval of an estimate and its two-sided p-value, or the reason why both are missing.
 
-    The p-value tests against 0.
-
-    With e_p the estimate without participant p, s^2 = (P - 1) / P sum_p (e_p - mean)^2, and the estimate over s has
-    Student's t distribution with P - 1 degrees of freedom.
+    The p-value tests against 0. With e_p the estimate without participant p, s^2 = (P - 1) / P sum_p (e_p - mean)^2,
+    and the estimate over s has Student's t distribution with P - 1 degrees of freedom.
 
     Args:
         estimate: of all P participants.

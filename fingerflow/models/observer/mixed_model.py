@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
-from fingerflow.models.observer.jackknife import jackknifed
+from fingerflow.models.observer.jackknife import jackknife_interval
 
 
 @dataclass(frozen=True)
@@ -83,5 +83,5 @@ def mixed_model(
     effect = float(products.sum()) / total
     with np.errstate(invalid="ignore", divide="ignore"):
         without = (products.sum() - products) / (total - squares)
-    interval, p, reason = jackknifed(effect, without, level)
+    interval, p, reason = jackknife_interval(effect, without, level)
     return MixedModel(effect, interval, p, level, trials, people.size, missing, reason)

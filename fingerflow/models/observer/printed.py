@@ -1,7 +1,7 @@
 """The ideal observer as published by Willemet et al. 2021, for comparison; use `d_prime` and `auc` otherwise."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,9 @@ class Gaussian:
     deviation: float
 
 
+NO_GAUSSIAN = Gaussian(math.nan, math.nan, math.nan)
+
+
 @dataclass(frozen=True)
 class PrintedObserver:
     """Ideal observer of one metric, computed as in the supplement of Willemet et al. 2021.
@@ -40,20 +43,20 @@ class PrintedObserver:
     """
 
     scale: float
-    bins: Values
-    counts_correct: Values
-    counts_incorrect: Values
-    correct: Gaussian
-    incorrect: Gaussian
-    d_prime: float
-    criteria: Values
-    hits: Values
-    false_alarms: Values
-    auc: float
-    criterion: float
     trials: tuple[int, int]
     missing: int
     reason: str
+    bins: Values = field(default_factory=lambda: np.empty(0))
+    counts_correct: Values = field(default_factory=lambda: np.empty(0))
+    counts_incorrect: Values = field(default_factory=lambda: np.empty(0))
+    correct: Gaussian = NO_GAUSSIAN
+    incorrect: Gaussian = NO_GAUSSIAN
+    d_prime: float = math.nan
+    criteria: Values = field(default_factory=lambda: np.empty(0))
+    hits: Values = field(default_factory=lambda: np.empty(0))
+    false_alarms: Values = field(default_factory=lambda: np.empty(0))
+    auc: float = math.nan
+    criterion: float = math.nan
 
 
 def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
@@ -81,11 +84,10 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     scale = float(np.quantile(every, 0.9)) if every.size else math.nan
     trials = (first.size, second.size)
     if min(trials) == 0:
-        return _nothing(
-            scale, trials, missing, f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
-        )
+        reason = f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
+        return PrintedObserver(scale, trials, missing, reason)
     if not scale > 0:
-        return _nothing(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
+        return PrintedObserver(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
     first, second, every = first / scale, second / scale, every / scale
     bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
@@ -96,6 +98,9 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
     return PrintedObserver(
         scale=scale,
+        trials=trials,
+        missing=missing,
+        reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
         bins=bins,
         counts_correct=counts[0],
         counts_incorrect=counts[1],
@@ -107,23 +112,14 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
         false_alarms=above[1],
         auc=float(np.trapezoid(above[0][::-1], above[1][::-1])),
         criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - hits))),
-        trials=trials,
-        missing=missing,
-        reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
     )
-
-
-def _nothing(scale: float, trials: tuple[int, int], missing: int, reason: str) -> PrintedObserver:
-    gaussian, none, nan = Gaussian(math.nan, math.nan, math.nan), np.empty(0), math.nan
-    curve = (none, none, none)
-    return PrintedObserver(scale, *curve, gaussian, gaussian, nan, *curve, nan, nan, trials, missing, reason)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
     """Fit a Gaussian to the counts of a histogram by least squares, as in figure S11 A."""
     centres = (bins[:-1] + bins[1:]) / 2
     if np.count_nonzero(counts) < 3:
-        return Gaussian(math.nan, math.nan, math.nan)
+        return NO_GAUSSIAN
     middle = float(np.average(centres, weights=counts))
     spread = max(float(np.sqrt(np.average((centres - middle) ** 2, weights=counts))), BIN / 2)
 
@@ -133,5 +129,5 @@ def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
     try:
         found, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
     except RuntimeError:  # no convergence
-        return Gaussian(math.nan, math.nan, math.nan)
+        return NO_GAUSSIAN
     return Gaussian(float(found[0]), float(found[1]), abs(float(found[2])))

@@ -12,7 +12,7 @@ from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, xlog1py,
 from scipy.stats import chi2
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
-from fingerflow.models.observer.jackknife import jackknifed
+from fingerflow.models.observer.jackknife import jackknife_interval
 
 Values = NDArray[np.float64]
 
@@ -98,22 +98,22 @@ def fit_psychometric(
     Raises:
         ValueError: values that are not valid counts, lengths that differ, or share, guess or level out of range.
     """
-    x, yes, number = _checked(stimulus, answers, trials)
+    x, yes, number = _check_counts(stimulus, answers, trials)
     lowest = 0.0 if guess is None else guess
     if not 0 <= lowest < share < 1:
         raise ValueError(f"the share is {share:g} and guesses {lowest:g}: give a share between the guesses and 1")
     if not 0 < level < 1:
         raise ValueError(f"the level is {level:g}: give one between 0 and 1, as 0.95")
-    stimuli = np.unique(x).size
+    stimuli, count = np.unique(x).size, int(number.sum())
 
     def nothing(reason: str) -> PsychometricFit:
         nan = math.nan
-        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, int(number.sum()), stimuli, share, level, reason)
+        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, count, stimuli, share, level, reason)
 
     if stimuli < _FEWEST_STIMULI:
         return nothing(f"{stimuli} stimuli: {_FEWEST_STIMULI} are needed")
-    if yes.sum() in (0, number.sum()):
-        return nothing(f"all answers are the same: {int(yes.sum())} of {int(number.sum())} are of the kind that counts")
+    if yes.sum() in (0, count):
+        return nothing(f"all answers are the same: {int(yes.sum())} of {count} are of the kind that counts")
     posterior = _Posterior(x, yes, number, share, guess)
     best = posterior.best()
     threshold, width, fitted_guess, lapse = posterior.parameters(best)
@@ -130,20 +130,9 @@ def fit_psychometric(
         if who.size != x.size:
             raise ValueError(f"{who.size} participants of {x.size} blocks: name that of every block")
         without = [posterior.threshold_of(who != name, best) for name in np.unique(who)]
-        interval, _, reason = jackknifed(threshold, without, level)
-    return PsychometricFit(
-        threshold=threshold,
-        interval=interval,
-        width=width,
-        guess=fitted_guess,
-        lapse=lapse,
-        overdispersion=posterior.overdispersion(best),
-        trials=int(number.sum()),
-        stimuli=stimuli,
-        share=share,
-        level=level,
-        reason=reason,
-    )
+        interval, _, reason = jackknife_interval(threshold, without, level)
+    curve = threshold, interval, width, fitted_guess, lapse, posterior.overdispersion(best)
+    return PsychometricFit(*curve, count, stimuli, share, level, reason)
 
 
 class _Posterior:
@@ -183,8 +172,7 @@ class _Posterior:
     def _expected(self, values: Values) -> Values:
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((self.x - threshold) * slope + _core(self.share, guess, lapse))
-        result: Values = np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
-        return result
+        return np.asarray(np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12))
 
     def best(self) -> Values:
         """Return the curve parameters that maximise the posterior.
@@ -196,7 +184,7 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return start parameters for a fit, with several slopes, and either one middle or one threshold for all."""
+        """Return starting points of the fit: 12 slopes, each with the given middle of the curve or given threshold."""
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -207,7 +195,7 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Return the threshold, in data units, fitted to the `chosen` blocks of answers, with a search from `near`."""
+        """Fit the curve to the chosen blocks of answers, searching from `near`; return its threshold in data units."""
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]
@@ -258,7 +246,7 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return the threshold at which the profile on one side of the best threshold reaches ``allowed``, or infinity."""
+    """Return the threshold on one side of the best one whose profile value is ``allowed``, or infinity."""
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach
@@ -275,7 +263,7 @@ def _log_beta(value: float, first: float, second: float) -> float:
     return float(xlogy(first - 1, value) + xlog1py(second - 1, -value))
 
 
-def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
+def _check_counts(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
     x, yes, number = (np.asarray(values, dtype=np.float64).reshape(-1) for values in arrays)
     if not x.size == yes.size == number.size:
         raise ValueError(f"{x.size} stimuli, {yes.size} counts of answers and {number.size} of trials: give one each")

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval
-from fingerflow.models.observer.jackknife import jackknifed
+from fingerflow.models.observer.jackknife import jackknife_interval
 
 Values = NDArray[np.float64]
 
@@ -19,9 +19,7 @@ Values = NDArray[np.float64]
 class Correlation:
     """Correlation coefficient of pairs of values, with interval and two-sided p-value.
 
-    `trials` pairs were used; `missing` pairs lack a value.
-
-    `participants` is 0 where pairs count as independent.
+    `trials` pairs were used; `missing` pairs lack a value. `participants` is 0 where pairs count as independent.
     """
 
     value: float
@@ -98,7 +96,7 @@ def _correlation(
     who = np.asarray(participants).reshape(-1)[both]
     names = np.unique(who)
     without = [_fisher_z_without_one(x, y, who != name, kind) for name in names]
-    (low, high), p, reason = jackknifed(middle, without, level)
+    (low, high), p, reason = jackknife_interval(middle, without, level)
     return Correlation(value, (math.tanh(low), math.tanh(high)), p, level, pairs, missing, reason, len(without))
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypedDict
 
 from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime
 from fingerflow.models.observer.estimate import Estimate
@@ -11,20 +10,9 @@ from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
 
-class ObserverSettings(TypedDict):
-    """Settings of bootstrap intervals: confidence level, number of resamples and random seed."""
-
-    level: float
-    resamples: int
-    seed: int
-
-
 @dataclass(frozen=True)
 class MetricSummary:
-    """Ideal-observer statistics of one metric, with confidence intervals.
-
-    `printed` has the statistics computed as in the paper.
-    """
+    """Ideal-observer statistics of one metric, with confidence intervals; `printed` has them as in the paper."""
 
     d_prime: Estimate
     auc: Estimate
@@ -56,12 +44,11 @@ def observe(
     found = {}
     for name in trials.metrics if metrics is None else metrics:
         correct, incorrect = trials.split(name)
-        settings: ObserverSettings = {"level": level, "resamples": resamples, "seed": seed}
         found[name] = MetricSummary(
-            d_prime=d_prime(correct, incorrect, participants=who, **settings),
-            auc=auc(correct, incorrect, participants=who, **settings),
-            criterion=criterion_for_hits(correct, hits, participants=who[0], **settings),
-            permutation=permutation_test(correct, incorrect, participants=who, permutations=resamples, seed=seed),
-            printed=printed_observer(correct, incorrect, hits),
+            d_prime(correct, incorrect, participants=who, level=level, resamples=resamples, seed=seed),
+            auc(correct, incorrect, participants=who, level=level, resamples=resamples, seed=seed),
+            criterion_for_hits(correct, hits, participants=who[0], level=level, resamples=resamples, seed=seed),
+            permutation_test(correct, incorrect, participants=who, permutations=resamples, seed=seed),
+            printed_observer(correct, incorrect, hits),
         )
     return found

@@ -137,7 +137,7 @@ def _shape(relative: Values) -> Values:
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:
-    """Fit `values` (F,) by two functions with coefficients >= 0; return the first of these and residuals (G, E, F)."""
+    """Fit values (F,) by a sum of two functions with factors >= 0; return the first factor and residuals (G, E, F)."""
     aa, ab, bb = (first**2).sum(-1), (first * second).sum(-1), (second**2).sum(-1)
     av, bv = first @ values, second @ values
     determinant = aa * bb - ab**2

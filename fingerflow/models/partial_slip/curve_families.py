@@ -1,5 +1,4 @@
-"""Model curves of partial slip: load ratio T/N as a function of the stuck area share d^2, linear in friction
-coefficients.
+"""Model curves of partial slip: load ratio T/N as a function of the stuck area share d^2.
 
 d^2(T/N) has an infinite slope where the area vanishes. Its inverse is smooth and single-valued: a sum of known
 functions of d^2 weighted by the friction coefficients.

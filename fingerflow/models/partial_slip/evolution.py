@@ -69,8 +69,7 @@ def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: T
 
 
 def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the stuck area share at which the remaining stick region slips at once: d^2 = (mu_s - mu_k) / (2 mu_s -
-    mu_k).
+    """Return the critical stuck area share (mu_s - mu_k) / (2 mu_s - mu_k), below which the contact slips as a whole.
 
     Such a minimal area needs mu_s > mu_k; the paper's section 1 and equation 5 agree, but its abstract has the
     inequality reversed. It is 0 for mu_s = mu_k, and NaN for mu_s < mu_k, where none exists.
@@ -85,8 +84,7 @@ def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> T
 
 
 def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
-    """Return the largest T/N that a contact bears without full slip: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else
-    mu_k.
+    """Return the largest T/N of a contact without full slip: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else mu_k.
 
     Raises:
         ValueError: mu_s is not positive or mu_k is negative.

@@ -22,15 +22,14 @@ _WIDEST = 1.0  # widest informative interval of mu_k / mu_s
 
 @dataclass(frozen=True)
 class FrictionFit:
-    """Friction coefficients with intervals, fitted by `fit_friction`; NaN where the data determine none, see `reason`.
+    """Friction coefficients with intervals, fitted by `fit_friction`; NaN if the data do not determine them.
 
     Attributes:
         mu_s, mu_k: coefficients of static and kinetic friction; mu_k is not below 0.
         ratio: mu_k / mu_s.
         critical_area: d^2_critic = (mu_s - mu_k) / (2 mu_s - mu_k); 0 where mu_k >= mu_s.
         mu_s_interval, mu_k_interval, ratio_interval, critical_area_interval: percentile intervals of the bootstrap.
-        identified: True if the data determine both coefficients.
-        reason: why not; empty if they do.
+        identified: True if the data determine both coefficients; `reason` says why not, and is empty if they do.
         area_noise, load_noise: standard deviations of d^2 and T/N from frame to frame.
         frames: number of frames that the fit used, or could have used where nothing is identified.
         level, resamples, seed: of the intervals.
@@ -61,8 +60,7 @@ def fit_friction(
     resamples: int = 1000,
     seed: int = 0,
 ) -> FrictionFit:
-    """Fit static and kinetic friction, mu_s and mu_k of equation 5 (Terekhov & Hayward 2011), to frames of slow
-    loading.
+    """Fit static and kinetic friction of equation 5 (Terekhov & Hayward 2011) to d^2 and T/N of slow loading.
 
     Both d^2 and T/N are measured with noise. The noise is estimated from their second differences, so the frames must
     be in order of time; the estimate depends on the ratio of the two. A frame's distance from the curve is its T/N
@@ -93,43 +91,28 @@ def fit_friction(
         raise ValueError(f"{resamples} resamples are too few for an interval: give 100 or more")
     area, load, noise, too_few = frames_of_slip(stuck_area, load_ratio)
 
-    def answer(values: Values, intervals: Values, reason: str) -> FrictionFit:
+    def fit(values: Values, intervals: Values, reason: str) -> FrictionFit:
         mu_s, mu_k, ratio, critical = map(float, values)
-        pairs = [(float(low), float(high)) for low, high in intervals.T]
-        return FrictionFit(
-            mu_s=mu_s,
-            mu_k=mu_k,
-            ratio=ratio,
-            critical_area=critical,
-            mu_s_interval=pairs[0],
-            mu_k_interval=pairs[1],
-            ratio_interval=pairs[2],
-            critical_area_interval=pairs[3],
-            identified=not reason,
-            reason=reason,
-            area_noise=noise[0],
-            load_noise=noise[1],
-            frames=area.size,
-            level=level,
-            resamples=resamples,
-            seed=seed,
-        )
+        of_s, of_k, of_ratio, of_critical = ((float(low), float(high)) for low, high in intervals.T)
+        numbers = mu_s, mu_k, ratio, critical, of_s, of_k, of_ratio, of_critical
+        return FrictionFit(*numbers, not reason, reason, *noise, area.size, level, resamples, seed)
 
     if too_few:
-        return answer(np.full(4, np.nan), np.full((2, 4), np.nan), too_few)
+        return fit(np.full(4, np.nan), np.full((2, 4), np.nan), too_few)
     draws = _block_weights(area.size, resamples, seed)
-    estimates = _derived(fit_family(PARTIAL_SLIP, area, load, noise, draws)[0])
-    estimate = _derived(fit_family(PARTIAL_SLIP, area, load, noise, np.ones((1, area.size)))[0])[0]
+    estimates, (estimate,) = (
+        _friction_numbers(fit_family(PARTIAL_SLIP, area, load, noise, weights)[0])
+        for weights in (draws, np.ones((1, area.size)))
+    )
     tails = [(1 - level) / 2, (1 + level) / 2]
     intervals = np.quantile(estimates, tails, axis=0)
     width = intervals[1, 2] - intervals[0, 2]
     if width < _WIDEST and estimate[0] > 0:
-        return answer(estimate, intervals, "")
+        return fit(estimate, intervals, "")
     estimate[1:], intervals[:, 1:] = np.nan, np.nan
     reach = f"d² falls to {np.quantile(area, 0.02):.2f} only"
-    return answer(
-        estimate, intervals, f"mu_k is not determined: {reach}, and the interval of mu_k/mu_s is {width:.1f} wide"
-    )
+    reason = f"mu_k is not determined: {reach}, and the interval of mu_k/mu_s is {width:.1f} wide"
+    return fit(estimate, intervals, reason)
 
 
 def fit_family(
@@ -166,8 +149,7 @@ def fit_family(
 def student_weights(squared: Values, weights: Values) -> Values:
     """Return robust weights (R, F) of frames by Student's t-distribution, scaled to the squared residuals."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
-    result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
-    return result
+    return np.asarray((STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300)))
 
 
 def student_scale(squared: Values) -> float:
@@ -180,7 +162,9 @@ def student_scale(squared: Values) -> float:
 
 
 def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
-    """Return d^2 and T/N of the frames in which the stuck area shrinks, the noise of both, and a reason if too few.
+    """Select the frames in which the stuck area shrinks; return their d^2 and T/N, and the noise of both.
+
+    The last item is a message if there are too few frames, else empty.
 
     Raises:
         ValueError: the two differ in length.
@@ -193,7 +177,7 @@ def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values
     noise = frame_noise(area), frame_noise(load)
     if area.size < _FEWEST:
         return area, load, noise, f"{area.size} frames with d² and T/N, {_FEWEST} are needed"
-    used = _shrinking(area, load, noise)
+    used = _is_shrinking(area, load, noise)
     reason = "" if used.sum() >= _FEWEST else f"the area shrinks in {used.sum()} frames, {_FEWEST} are needed"
     return area[used], load[used], noise, reason
 
@@ -207,7 +191,7 @@ def frame_noise(values: Values) -> float:
     return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6)) if second.size else math.nan
 
 
-def _shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
+def _is_shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
     """Return a mask of the frames in which the stick region shrinks: the stuck area share is clearly below 1.
 
     The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.
@@ -229,7 +213,7 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
     return counts
 
 
-def _derived(coefficients: Values) -> Values:
+def _friction_numbers(coefficients: Values) -> Values:
     """Return mu_s, mu_k, mu_k / mu_s and the critical stuck area share (R, 4) for R sets of fitted coefficients."""
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s

@@ -1,4 +1,4 @@
-"""Border of a contact's stick region, fitted to displacement that tracking windows or dense flow have blurred.
+"""Fit the border of a contact's stick region to displacement that tracking windows or dense flow have blurred.
 
 Beside the stick region, at a distance x from the border, the displacement is k g(x),
 
@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
-#: Measured (blurred) displacement, mm, of a ramp, max(x, 0), at distances x of any shape in mm, negative inside.
-Seen = Callable[[Values], Values]
+#: Function that returns the measured (blurred) displacement, mm, of a ramp max(x, 0) at distances x in mm.
+RampResponse = Callable[[Values], Values]
 
 POWERS = np.arange(0.75, 2.01, 0.125)  # candidates for p
 ROUNDINGS = np.array([0, 0.25, 0.5, 0.75, 1, 1.25])  # candidates for a, half windows
@@ -66,18 +66,18 @@ class BorderFit(NamedTuple):
     base: float
     error: float
 
-    def shown(self, distance: Values, seen: Seen) -> Values:
-        """Return the measured displacement, mm, at distances (K,) mm beyond the border, without the base."""
+    def measured_at(self, distance: Values, seen: RampResponse) -> Values:
+        """Return the measured (blurred) displacement, mm, at distances (K,) mm beyond the border, without the base."""
         return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
 
-    def grown(self, displacement: float) -> float:
-        """Return the distance, mm, over which the displacement grows to the given one, mm."""
+    def distance_of(self, displacement: float) -> float:
+        """Return the distance from the border, mm, at which the displacement reaches a value, mm."""
         reached = (displacement / self.growth + self.rounding**self.power) ** (2 / self.power)
         return math.sqrt(max(reached - self.rounding**2, 0.0))
 
 
-def window_places(half_window: float) -> Values:
-    """Return sorted offsets (K,) mm along the normal of a border, each of as many pixels of a square window.
+def window_offsets(half_window: float) -> Values:
+    """Return offsets (K,) mm along the normal of a border that sample the pixels of a square window evenly, sorted.
 
     They are pooled over directions of the border.
     """
@@ -86,26 +86,26 @@ def window_places(half_window: float) -> Values:
     return np.asarray(np.sort((across + along).ravel()).reshape(_PLACES, -1).mean(1))
 
 
-def seen_ramp(distance: Values, half_window: float) -> Values:
-    """Return the mean over windows, at distances in mm from a border, of a displacement of max(x, 0) at x mm beyond it.
+def blurred_ramp(distance: Values, half_window: float) -> Values:
+    """Return the mean of a ramp max(x, 0) over a tracking window whose centre is at given distances (mm) from a border.
 
     A distance is negative on the side that sticks.
     """
-    places = window_places(half_window)
+    places = window_offsets(half_window)
     at = np.linspace(-2 * half_window, 2 * half_window, 400)
     means = np.maximum(at[:, None] + places, 0).mean(1)
     return np.asarray(np.where(distance > at[-1], distance, np.interp(distance, at, means)))
 
 
-def border_level(width: Values, fit: BorderFit, seen: Seen) -> Values:
+def border_level(width: Values, fit: BorderFit, seen: RampResponse) -> Values:
     """Return the displacement (K,), mm, measured at a stick border inside a slipping annulus (K,) mm wide."""
-    return np.asarray(fit.shown(np.zeros(1), seen) - fit.shown(-np.maximum(width, 0), seen))
+    return np.asarray(fit.measured_at(np.zeros(1), seen) - fit.measured_at(-np.maximum(width, 0), seen))
 
 
 def fit_border(
-    distance: Values, displacement: Values, weight: Values, seen: Seen, half_window: float
+    distance: Values, displacement: Values, weight: Values, seen: RampResponse, half_window: float
 ) -> BorderFit | None:
-    """Fit the position of the border at which a blurred displacement begins, and the law by which it does.
+    """Fit the position of a stick border, and the law by which displacement grows from it, to blurred displacement.
 
     k and the base follow by weighted least squares for each candidate of position, power and rounding. Means and
     deviations are taken over the candidates, with weights exp(-chi^2 / 2); the least chi^2 is scaled to its degrees of
@@ -115,7 +115,7 @@ def fit_border(
         distance: (K,) mm from some contour of the displacement, positive on the side that sticks.
         displacement: (K,) mm along the slip, a mean over points at this distance.
         weight: (K,) inverse variance of the displacement.
-        seen: the blur, as `seen_ramp`.
+        seen: the blur, as `blurred_ramp`.
         half_window: mm; candidate positions are a fiftieth of it apart.
 
     Returns:
@@ -146,8 +146,8 @@ def fit_border(
     return BorderFit(power, power_std, rounding, float(growth[0]), offset, offset_std, float(base[0]), error)
 
 
-def _blurred(distance: Values, powers: Values, roundings: Values, seen: Seen) -> Values:
-    """Return measured values (L, K) of g for L powers and roundings, at distances (K,) mm beyond the border."""
+def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResponse) -> Values:
+    """Return the blurred displacement law g (L, K) of L powers and roundings, at distances (K,) mm from the border."""
     # Ramps from knots add up to g, linear in between; the first knots are close, where a small power bends most.
     knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
     p, a = powers[:, None], roundings[:, None]
@@ -157,7 +157,7 @@ def _blurred(distance: Values, powers: Values, roundings: Values, seen: Seen) ->
 
 
 def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:
-    """Fit values (K,) by a multiple of each shape (C, K) and a constant; return both (C,), and chi^2 (C,)."""
+    """Fit values (K,) by a multiple of each shape (C, K) plus a constant; return factor, constant and chi^2 (C,)."""
     share = weight / weight.sum()
     mean, level = shapes @ share, float(values @ share)
     apart, rest = shapes - mean[:, None], values - level

@@ -123,15 +123,10 @@ def judge_trial(
     Raises:
         ValueError: the arrays differ in length or have more than one dimension, or the time does not increase.
     """
-    area, load, when = _checked(stuck_area, load_ratio, time)
+    area, load, when = _check_curves(stuck_area, load_ratio, time)
     measured = np.isfinite(area) & np.isfinite(load)
-    found = TrialVerdict(
-        "inconclusive",
-        "",
-        "inconclusive",
-        frames_measured=int(measured.sum()),
-        frames_missing=int((~measured).sum()),
-    )
+    found = TrialVerdict("inconclusive", "", "inconclusive")
+    found = replace(found, frames_measured=int(measured.sum()), frames_missing=int((~measured).sum()))
     if found.frames_measured < _FEWEST:
         return replace(found, reason=f"{found.frames_measured} frames have d² and T/N; {_FEWEST} are needed")
     width = max(5, 2 * round(_SMOOTHED_S / float(np.median(np.diff(when))) / 2) + 1)
@@ -159,9 +154,8 @@ def judge_trial(
     noise = frame_noise(np.asarray(load_ratio, float)[: loss + 1]) / reference
     found = replace(found, steepest_fall=fall, load_noise=noise)
     if fall > _LARGEST_FALL:
-        return replace(
-            found, reason=f"T/N is too unsteady: it falls by {fall:.0%} before the loss, over {_LARGEST_FALL:.0%}"
-        )
+        reason = f"T/N is too unsteady: it falls by {fall:.0%} before the loss, over {_LARGEST_FALL:.0%}"
+        return replace(found, reason=reason)
     if noise > _LARGEST_NOISE:
         return replace(found, reason=f"T/N is too noisy: {noise:.1%} from frame to frame, over {_LARGEST_NOISE:.1%}")
 
@@ -184,10 +178,13 @@ def judge_trial(
             area_std=math.hypot(collapse.area_std, shared),
             rate_std=math.hypot(collapse.rate_std, shared * collapse.rate / max(collapse.area, _LEAST_ZERO)),
         )
-    return _judged(found, collapse, area, when, run)
+    return _complete_verdict(found, collapse, area, when, run)
 
 
-def _judged(found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
+def _complete_verdict(
+    found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]
+) -> TrialVerdict:
+    """Return a verdict with its outcomes, from the fitted collapse and the frames inside the corridor, `run`."""
     loss = found.loss_frame
     largest = float(area[run].max())
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
@@ -209,8 +206,8 @@ def _judged(found: TrialVerdict, collapse: Collapse, area: Values, when: Values,
         found,
         outcome=outcome,
         reason=f"critical d² of {critical:.2f} ± {collapse.area_std:.2f}, {against}",
-        printed_outcome=_compared(largest - found.zero_area - _LARGEST_STD * found.area_noise),
-        model_outcome=_compared(model),
+        printed_outcome=_outcome_of(largest - found.zero_area - _LARGEST_STD * found.area_noise),
+        model_outcome=_outcome_of(model),
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
         model_area=model,
@@ -227,11 +224,11 @@ def _judged(found: TrialVerdict, collapse: Collapse, area: Values, when: Values,
     )
 
 
-def _compared(area: float) -> Outcome:
+def _outcome_of(area: float) -> Outcome:
     return "vanishes abruptly" if area > SMALLEST_AREA else "diminishes"
 
 
-def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
+def _check_curves(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
     area, load, when = (np.asarray(values, dtype=np.float64) for values in arrays)
     if not area.shape == load.shape == when.shape or area.ndim != 1:
         raise ValueError(
@@ -259,7 +256,7 @@ def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
-    """Return the frame from which on d^2 stays 0 with the fewest exceptions; None if d^2 is never 0."""
+    """Return the frame after which d^2 stays 0 with the fewest exceptions; None if d^2 is never 0."""
     known = np.flatnonzero(np.isfinite(area))
     above = area[known] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)

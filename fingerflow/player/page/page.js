@@ -3,7 +3,7 @@ const $ = id => document.getElementById(id);
 const TYPES = { uint8: Uint8Array, float32: Float32Array };
 const LEAST_RANGE = 0.001;  // of divergence: below it, noise would be coloured
 const POINTS = { tracked: "#ffd54f", outside: "#ffd54f", lacking: "#111" };
-let range = LEAST_RANGE;
+let range = LEAST_RANGE, inPercent = false, over = false;
 
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
@@ -252,6 +252,9 @@ async function refresh() {
     }
     if (!answer.ok) throw new Error(answer.status);
     const live = unpack(await answer.arrayBuffer());
+    $("unit").hidden = !live.shown.divergence.percent;
+    if (inPercent) for (const one of Object.values(live.shown)) Object.assign(one, one.percent);
+    $("unit").textContent = `Deformation in ${live.shown.divergence.unit}`;
     $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;
     numbers(live);
     truth(live);
@@ -263,12 +266,14 @@ async function refresh() {
     const where = live.results ? ` Results: ${live.results}` : "";
     say(live.state, live.state == "ended" ? `The stream has ended ${frames}.${where}`
       : live.state == "failed" ? `The stream was stopped ${frames}: ${live.said}${where}` : "");
-    if (live.state == "ended" || live.state == "failed") return;
+    over = live.state == "ended" || live.state == "failed";
+    if (over) return;
   } catch (error) {
     console.info(error);
     say("no answer", "Nothing answers here: the stream has ended, or the connection to its computer is lost.");
   }
   setTimeout(refresh, 66);
 }
+$("unit").onclick = () => { inPercent = !inPercent; if (over) refresh(); };
 $("restart").onclick = () => fetch("restart", { method: "POST", headers: { "X-Fingerflow": "1" } });
 refresh();

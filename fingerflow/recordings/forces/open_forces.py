@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,6 +174,31 @@ def _is_time(name: str) -> bool:
 def force_columns(path: str | PathLike[str]) -> list[str]:
     """Return all column names of a force file, in file order; raise FingerflowError if the file is unreadable."""
     return list(_read_table(Path(path)).columns)
+
+
+def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
+    """Return the properties of a force file: sample rate in Hz, and of each column samples, unit, minimum and maximum.
+
+    The rate is that which the file states, else that of its time column. Raises FingerflowError if the file is
+    unreadable.
+    """
+    table = _read_table(Path(path))
+    rates = [
+        _rate(table.columns[name] * TO_SECONDS.get(table.units.get(name, "s"), math.nan))
+        for name in table.columns
+        if _is_time(name)
+    ]
+    columns = {}
+    for name, data in table.columns.items():
+        known = data[np.isfinite(data)]
+        least, largest = (f"{known.min():.6g}", f"{known.max():.6g}") if known.size else ("nan", "nan")
+        columns[name] = f"{data.size} samples of {least} to {largest} {table.units.get(name, '(no unit)')}"
+    return {
+        "path": str(table.path),
+        "sample_rate_hz": table.sample_rate or next((rate for rate in rates if rate), None),
+        "columns": columns,
+        "warnings": table.warnings,
+    }
 
 
 def _read_table(location: Path) -> ForceTable:

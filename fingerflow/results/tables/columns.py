@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.variable_record import LABELS
+from fingerflow.schema.variables import shown_unit
 
 
 class Table(NamedTuple):
-    """Table of R rows and C columns: names (C,) of the columns with units, and values as rows (R, C)."""
+    """Table of R rows and C columns: names (C,) of the columns with shown units, and values as rows (R, C)."""
 
     names: tuple[str, ...]
     rows: NDArray[np.float64]
@@ -90,9 +91,10 @@ def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _columns_of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return the columns of a variable, one per component: a mapping from name with unit to values."""
-    units = values.attrs["units"]
+    """Return the columns of a variable in its shown unit, one per component: a mapping from name to values."""
+    shown = shown_unit(str(values.name), values.attrs["units"])
+    numbers = values.values if shown.factor == 1 else shown.factor * values.values
     if values.dims[-1] not in LABELS:
-        return {f"{values.name} ({units})": values.values}
+        return {shown.heading(str(values.name)): numbers}
     parts = values[values.dims[-1]].values
-    return {f"{values.name}_{part} ({units})": values.values[..., k] for k, part in enumerate(parts)}
+    return {shown.heading(f"{values.name}_{part}"): numbers[..., k] for k, part in enumerate(parts)}

@@ -11,7 +11,8 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.tables.columns import Table
-from fingerflow.schema.variable_record import LABELS
+from fingerflow.schema.variable_record import LABELS, ShownUnit
+from fingerflow.schema.variables import shown_unit
 
 ORIGIN = "the first pixel is at"  # identifies a file of maps
 _MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
@@ -21,13 +22,13 @@ class Maps(NamedTuple):
     """Maps (F, C, H, W) of a variable on a regular grid of the glass, for F frames and C components; NaN where unknown.
 
     Attributes:
-        name: of the variable; `units` its unit; `components` the names of its components, () for a scalar.
+        name: of the variable; `unit` its shown unit; `components` the names of its components, () for a scalar.
         frames, times: (F,) number and s.
         step_mm: spacing of the grid.
     """
 
     name: str
-    units: str
+    unit: ShownUnit
     components: tuple[str, ...]
     values: NDArray[np.float32]
     x: NDArray[np.float64]
@@ -40,7 +41,7 @@ class Maps(NamedTuple):
     def about(self) -> str:
         """Return a text with unit, origin and spacing of the maps, for file formats that cannot store these."""
         return (
-            f"{self.name} in {self.units}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
+            f"{self.name} in {self.unit.name or 1}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
             f"glass, pixels are {self.step_mm:g} mm apart, the first frame is {self.frames[0]} at {self.times[0]:.6g} s"
         )
 
@@ -49,7 +50,7 @@ class Maps(NamedTuple):
         frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
         places = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
         named = [f"_{one}" for one in self.components] or [""]
-        names = ("frame", "time (s)", "x (mm)", "y (mm)", *(f"{self.name}{one} ({self.units})" for one in named))
+        names = ("frame", "time (s)", "x (mm)", "y (mm)", *(self.unit.heading(f"{self.name}{one}") for one in named))
         return Table(names, np.column_stack([*places, *(self.values[frame, :, row, column].T)]))
 
 
@@ -94,9 +95,10 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
             values[frame] = _interpolate_points(points, of_frame, places, reach).transpose(2, 0, 1)
         else:
             values[frame] = _values_of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
-    units = str(given.attrs["units"])
+    unit = shown_unit(variable, str(given.attrs["units"]))
+    values *= np.float32(unit.factor)
     frames, times = result["frame"].values, result["time"].values
-    return Maps(variable, units, components, values, x, y, frames, times, step_mm)
+    return Maps(variable, unit, components, values, x, y, frames, times, step_mm)
 
 
 def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:

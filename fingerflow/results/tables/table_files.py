@@ -10,12 +10,14 @@ import xarray as xr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import keep_others, write_atomically
+from fingerflow.results.tables.archives import is_nwb_result, is_zarr_result, save_nwb, save_zarr
 from fingerflow.results.tables.columns import Table, by_frame, by_point, by_track
 from fingerflow.results.tables.grid_maps import ORIGIN as _ORIGIN
 from fingerflow.results.tables.grid_maps import Maps, maps_of
 from fingerflow.results.tables.matlab import save_matlab
 
 ROWS = {"frame": by_frame, "point": by_point, "track": by_track}
+_COMPLETE = {".mat": save_matlab, ".nwb": save_nwb, ".zarr": save_zarr}
 _BEGINNINGS = (b"frame,", b"track_id,")
 
 
@@ -26,11 +28,12 @@ def export_table(
     variables: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a table of a result as .csv, or the complete result as .mat.
+    """Write a table of a result as .csv, or the complete result as .mat, .nwb or .zarr.
 
     Args:
         result: of `process`, or of a stream.
-        path: ending in .csv or .mat.
+        path: ending in .csv, .mat, .nwb (extra `nwb`) or .zarr (a folder, extra `zarr`). A .csv has shown units
+            (`fingerflow outputs`), the others those of the data set.
         rows: kind of rows of a .csv: "frame"; "point", one per point and frame; "track", the tracks of napari
             (ID, t, y, x) in frames and px, where the point is tracked.
         variables: columns of the table; None for all variables that have a value for each row, or none of "track".
@@ -40,18 +43,22 @@ def export_table(
         FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
             without ``overwrite`` where the path is an existing file that is no table or map.
     """
+    if path.suffix == ".zarr" and path.exists() and not is_zarr_result(path):  # no folder is replaced by `overwrite`
+        raise FingerflowError(f"{path} exists and is no result; give another name, or remove it")
     keep_others(path, is_table, overwrite)
     if rows not in ROWS:
         raise FingerflowError(f"rows of {rows!r} are not known; choose {', '.join(ROWS)}")
     if path.suffix == ".csv":
         table = ROWS[rows](result, variables)
         write_atomically(path, lambda part: _write_csv(part, table))
-    elif path.suffix == ".mat":
-        if rows != "frame" or variables:
-            raise FingerflowError(f"{path}: a .mat file holds everything; leave rows and variables out, or take .csv")
-        save_matlab(result, path)
-    else:
-        raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {_suffix(path)}")
+        return
+    if path.suffix not in _COMPLETE:
+        raise FingerflowError(f"{path}: a table is written as .csv, {', '.join(_COMPLETE)}, not {_suffix(path)}")
+    if rows != "frame" or variables:
+        raise FingerflowError(
+            f"{path}: a {path.suffix} file holds everything; leave rows and variables out, or take .csv"
+        )
+    _COMPLETE[path.suffix](result, path)
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
@@ -88,6 +95,8 @@ def is_table(path: Path) -> bool:
         if path.suffix in (".tif", ".tiff"):
             with tifffile.TiffFile(path) as file:
                 return _ORIGIN in str((file.imagej_metadata or {}).get("Info", ""))
+        if path.suffix == ".nwb":
+            return is_nwb_result(path)
         with path.open("rb") as table:
             return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
     except Exception:  # another kind of file may raise any exception
@@ -95,7 +104,8 @@ def is_table(path: Path) -> bool:
 
 
 def _write_csv(part: Path, table: Table) -> None:
-    np.savetxt(part, table.rows, delimiter=",", fmt="%.9g", header=",".join(table.names), comments="")
+    heading = ",".join(table.names)
+    np.savetxt(part, table.rows, delimiter=",", fmt="%.9g", header=heading, comments="", encoding="utf-8")
 
 
 def _write_tiff(part: Path, maps: Maps) -> None:

@@ -1,5 +1,6 @@
 // Scale and transform from pictures of a ring and of a target, and the picture of what was found in them.
 import { say } from "./net.js";
+import { browseButton } from "./browser.js";
 import { digits, make } from "./elements.js";
 
 const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
@@ -12,7 +13,8 @@ export class CalibrationCard {
     const row = (name, label, attributes) => {
       this.inputs[name] = make("input", attributes);
       this.inputs[name].setAttribute("aria-label", `calibrate ${name}`);
-      return make("label", { className: "field" }, make("span", {}, label), this.inputs[name]);
+      const chosen = attributes.list ? [browseButton(this.inputs[name], label)] : [];
+      return make("div", { className: "field" }, make("span", {}, label), make("span", { className: "row" }, this.inputs[name], chosen));
     };
     const rows = FILES.map(([name, label, placeholder]) => row(name, label, { type: "text", placeholder, list: "files" }));
     rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));

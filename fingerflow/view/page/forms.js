@@ -1,7 +1,8 @@
 // Inputs for the keys of a scene, made from the table that the scene is checked with.
+import { browseButton } from "./browser.js";
 import { make, select, title, words } from "./elements.js";
 
-const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 31, 2], "contact.gross_radius_px": [1, 40, 1] };
+const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 15, 2], "contact.gross_radius_px": [1, 40, 1] };
 const OPEN = new Set(["contact"]);
 
 // `changed(key, value)` is called with null where a key is left out; `live` says that more of it will come.
@@ -16,11 +17,9 @@ export function makeForms(setup, changed) {
     group.dataset.table = table;
     made.push(group);
   }
-  for (const name of ["files", "channels"]) {
-    const list = make("datalist", { id: name });
-    made.push(list);
-    updates.push(found => list.replaceChildren(...found[name].map(value => make("option", { value }))));
-  }
+  const files = make("datalist", { id: "files" });
+  made.push(files);
+  updates.push(found => files.replaceChildren(...found.files.map(value => make("option", { value }))));
   const update = found => {
     updates.forEach(one => one(found));
     const wrong = new Map(found.problems.map(({ key, said }) => [key, said]));
@@ -37,6 +36,49 @@ export function makeForms(setup, changed) {
 
 function valueAt(values, key) {
   return key.split(".").reduce((place, name) => place?.[name], values);
+}
+
+const listed = value => value === null || value === undefined ? [] : Array.isArray(value) ? value : [value];
+
+// Menus of the columns of the force file: one, or `several` of which all but the first may stay empty.
+function columns(key, several, send, updates) {
+  const boxes = Array.from({ length: several }, (_, k) => make("select"));
+  let values = [];
+  boxes.forEach((box, k) => {
+    box.setAttribute("aria-label", k ? `${key} ${k + 1}` : key);
+    box.addEventListener("change", () => {
+      const chosen = boxes.map(one => values[one.selectedIndex]).filter(one => one !== null);
+      send(chosen.length > 1 ? chosen : chosen[0] ?? null);
+    });
+  });
+  updates.push(found => {
+    const set = listed(valueAt(found.values, key));
+    const wanted = [null, ...new Set([...found.channels, ...set])], same = wanted.join() === values.join();  // else an open menu closes
+    values = wanted;
+    boxes.forEach((box, k) => {
+      if (!same) box.replaceChildren(...values.map(one => make("option", {}, one === null ? (k ? "no second one" : "none") : `${one}`)));
+      box.selectedIndex = values.indexOf(set[k] ?? null);
+    });
+  });
+  return make("span", { className: "row" }, boxes);
+}
+
+// A button for each force channel, normal force first, that turns its sign.
+function signs(key, send, updates) {
+  const place = make("span", { className: "row" });
+  updates.push(found => {
+    const names = ["normal", "tangential"].flatMap(name => listed(valueAt(found.values, `forces.${name}`)));
+    const set = listed(valueAt(found.values, key)), all = names.map((_, k) => (set.length > 1 ? set[k] : set[0]) ?? 1);
+    place.replaceChildren(...names.map((name, k) => {
+      const button = make("button", { title: "Turns the sign of this channel: pressing must be positive", onclick: () => {
+        const turned = all.map((sign, n) => n === k ? -sign : sign);
+        send(turned.every(sign => sign === turned[0]) ? (turned[0] === 1 ? null : turned[0]) : turned);
+      } }, `${all[k] < 0 ? "\u2212" : "+"} ${name}`);
+      button.setAttribute("aria-label", `${key} ${k + 1}`);
+      return button;
+    }));
+  });
+  return place;
 }
 
 function row(key, form, changed, updates) {
@@ -91,13 +133,18 @@ function row(key, form, changed, updates) {
     const input = make("input", { type: "number", placeholder, step: form.input === "whole" ? (form.odd ? 2 : 1) : "any" });
     if (form.odd) input.min = form.least;
     add(input, () => input.value === "" ? null : +input.value, value => { input.value = value ?? ""; });
-  } else if (form.input === "toml" || form.input === "column") {
-    const input = make("input", { type: "text", placeholder, list: form.input === "column" ? "channels" : "" });
+  } else if (form.input === "column") {
+    field.append(columns(key, form.several, send, updates));
+  } else if (form.input === "signs") {
+    field.append(signs(key, send, updates));
+  } else if (form.input === "toml") {
+    const input = make("input", { type: "text", placeholder });
     add(input, () => input.value === "" ? null : { toml: input.value },
       value => { input.value = value === null ? "" : typeof value === "string" ? value : JSON.stringify(value); });
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
+    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key)));
   }
   field.append(make("small", { className: "said" }));
   return field;

@@ -1,6 +1,6 @@
 // The page: two tabs about one recording, a picture with a slider, and curves.
-import { download, get, newest, say } from "./net.js";
-import { $, setVariables } from "./elements.js";
+import { download, get, newest, post, say } from "./net.js";
+import { $, setVariables, unitOf } from "./elements.js";
 import { Chart } from "./chart.js";
 import { Picture } from "./picture.js";
 import { ResultsView } from "./results.js";
@@ -20,7 +20,14 @@ class App {
     this.frames = newest(async () => this.draw());
   }
   async start() {
-    setVariables(await get("api/variables"));
+    const units = table => { setVariables(table); $("unit").textContent = `Deformation in ${unitOf("divergence")}`; };
+    units(await get("api/variables"));
+    $("unit").onclick = async () => {
+      units(await post("api/percent", {}));
+      this.results.cells = null;
+      await this.tab.enter();
+      await this.show();
+    };
     const draft = await this.setup.load();
     $("tab-setup").disabled = !draft;
     $("tab-results").disabled = !this.setup.facts.result;
@@ -35,8 +42,10 @@ class App {
     $("chart-svg").onclick = () => download("curves.svg", this.chart.svg());
     $("chart-csv").onclick = () => this.results.saveTable().catch(error => say(error.message));
     document.addEventListener("keydown", event => this.key(event));
-    if (this.setup.facts.result) await this.openResult();
-    else await this.open(this.setup);
+    const run = await get("api/progress?of=process");
+    if (this.setup.facts.result && !run.running) return this.openResult();
+    await this.open(this.setup);
+    if (run.running) await this.setup.processed(run);  // the page was closed meanwhile
   }
   name() { return `frame-${this.frame + this.tab.first}`; }
   async openResult() {
@@ -55,8 +64,9 @@ class App {
     $("tab-results").className = tab === this.results ? "on" : "";
     $("about").textContent = tab === this.results ? tab.facts.path : tab.facts.recording?.path || tab.facts.draft || "";
     await this.measure();
-    const middle = Math.floor(tab.frames / 2);
-    this.frame = Math.max(0, Math.min(tab.frames - 1, number === null ? (tab === this.results ? middle : 0) : number - tab.first));
+    const start = tab === this.results && (number === null || !this.seen) ? tab.facts.frame_of_most_contact : (number ?? 0) - tab.first;
+    this.seen ||= tab === this.results;  // from then on both tabs show the same frame
+    this.frame = Math.max(0, Math.min(tab.frames - 1, start));
     const first = this.show();
     await tab.enter();
     await first;

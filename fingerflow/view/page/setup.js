@@ -388,14 +388,16 @@ export class Setup {
   }
   async process() {
     try {
-      const state = await this.change("api/process", { all: Boolean(this.all) });
-      $("process").disabled = true;
-      const { failed } = await follow("process", state, $("progress"));
-      $("process").disabled = false;
-      if (!failed) await this.app.openResult();
+      await this.processed(await this.change("api/process", { all: Boolean(this.all) }));
     } catch (error) {
       this.changed();
       say(error.message);
     }
+  }
+  async processed(state) {
+    $("process").disabled = true;
+    const { failed } = await follow("process", state, $("progress"));
+    $("process").disabled = false;
+    if (!failed) await this.app.openResult();
   }
 }

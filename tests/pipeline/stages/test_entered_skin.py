@@ -78,7 +78,7 @@ def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
     that they touch in the first frame. By how far neighbours had moved, and by areas of places of onset, one was not
     found, and on slides of other skin two to four, each of which puts the median up by 1 to 2 um/mm.
     """
-    after_start = SLIDE.truth.onset_time(material) > SLIDE.times[SLIDE.frames_before_trigger]
+    after_start = SLIDE.truth.onset_frame(material) > SLIDE.frames_before_trigger
     found, later = result["entry"].values == MOVED_IN, result["onset_frame"].values > 0
     assert after_start.sum() > 30
     assert found[after_start & later].all()

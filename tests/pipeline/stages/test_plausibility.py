@@ -54,10 +54,10 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
     (more,) = plausibility.of_areas(real, gross, 100.0, 1, 10)
     assert "in 2 frames, the first is 12," in more
-    assert "(5 and 4 mm2)" in more
+    assert "(5 and 4 mm²)" in more
     # A frame that is not usable between the two does not hide a jump.
     (jump,) = plausibility.of_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
-    assert "jumps from 3 to 60 mm2 between frames 0 and 2" in jump
+    assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
     (lost,) = plausibility.of_tracking(np.array([1, 0.4, 0.1]), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
 
@@ -71,18 +71,18 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     assert "reaches 510 N" in plausibility.of_force(102 * force)[0]
     late, early = np.concatenate([np.zeros(9), force[:-9]]), np.concatenate([force[9:], np.full(9, 5.0)])
     (said,) = plausibility.of_onset(late, gross, 100)
-    assert "the contact has 21 of its 80 mm2 in frame 110, where the normal force is 0.0033 of 3 N" in said
+    assert "the contact has 21 of its 80 mm² in frame 110, where the normal force is 0.0033 of 3 N" in said
     (said,) = plausibility.of_onset(early, gross, 100)
     assert "the normal force is 0.27 N in frame 100, where nothing touches (in 1 frames)" in said
     (said,) = plausibility.of_growth(force, np.minimum(gross, 60))
-    assert "and the contact no longer grows (60 mm2)" in said
+    assert "and the contact no longer grows (60 mm²)" in said
     cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
     (said,) = plausibility.of_missing_frames(cut, None, 5)
-    assert "steps from 29.4 to 50.6 mm2 between frames 34 and 35, 21 times as far" in said
+    assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
     # The same step of the force is a real one.
     assert plausibility.of_missing_frames(cut, cut / 16, 5) == []
     (said,) = plausibility.of_beginning(gross[10:], 10)
-    assert "20.5 of 80 mm2 touch in frame 10" in said
+    assert "20.5 of 80 mm² touch in frame 10" in said
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_lamp_that_falls_to_stay(changed: Change, frames: Array) -> None:
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     scene = changed({'threshold = "reference_frame"': "threshold = 0.27"}, frames=dim)
     said = warnings_of(process(scene, ["gross_contact_area"]))
-    assert "mm2 between frames 3 and 4: more likely the light has changed" in said
+    assert "mm² between frames 3 and 4: more likely the light has changed" in said
 
 
 def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array) -> None:

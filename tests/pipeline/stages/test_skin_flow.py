@@ -5,7 +5,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.partial_slip.stick_border import border_level, fit_border, seen_ramp, window_places
+from fingerflow.models.partial_slip.stick_border import blurred_ramp, border_level, fit_border, window_offsets
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
 from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
 
@@ -121,12 +121,12 @@ HALF = 0.27
 
 
 def seen(at: NDArray[np.float64]) -> NDArray[np.float64]:
-    return seen_ramp(at, HALF)
+    return blurred_ramp(at, HALF)
 
 
 def shown(distance: NDArray[np.float64], growth: float, power: float) -> NDArray[np.float64]:
     """Window means of growth x^power beyond a border at 0.15 mm, over all pixels of a window."""
-    beyond = (0.15 - distance)[:, None] + window_places(HALF)
+    beyond = (0.15 - distance)[:, None] + window_offsets(HALF)
     return np.asarray(growth * (np.maximum(beyond, 0) ** power).mean(1))
 
 
@@ -145,7 +145,7 @@ def test_a_border_that_is_seen_blurred_is_found(growth: float, power: float) -> 
     assert level[0] == pytest.approx(0, abs=1e-12)
     assert level[2] == pytest.approx(growth * HALF**power / (power + 1) / 2, rel=0.16)
     assert level[0] < level[1] < level[2]
-    assert fit.grown(growth * 0.3**power) == pytest.approx(0.3, rel=0.05)
+    assert fit.distance_of(growth * 0.3**power) == pytest.approx(0.3, rel=0.05)
 
 
 def test_the_deviation_of_a_border_holds_its_error() -> None:

@@ -86,8 +86,8 @@ class ContactStage(Stage):
         self._threshold = self._fixed_threshold()
         self._largest = self._region_of(self.reference_frame)
         self.skin = self._skin(glass, black)
-        if self.skin is not None:
-            self.warnings.extend(plausibility.of_ridges(ridges.period_px(self.skin), self.inputs.mm_per_px))
+        self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
+        self.warnings.extend(plausibility.of_ridges(self._period_px, self.inputs.mm_per_px))
         self._check_view(glass, black)
         if "gross_contact_region" in self.trial.asked:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
@@ -141,7 +141,8 @@ class ContactStage(Stage):
             self.warnings.extend(plausibility.of_onset(normal, gross, first_frame))
             self.warnings.extend(plausibility.of_growth(normal, gross))
         for name, values in self.series.items():
-            self.results.put(name, values)
+            about = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} if name == "gross_contact_area" else {}
+            self.results.put(name, values, about)
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -178,7 +179,7 @@ class ContactStage(Stage):
         self.warnings.extend(view_faults.of_background_lines(light))
         if region.any():
             contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[self.reference_frame]])))
-            period = np.nan if self.skin is None else ridges.period_px(self.skin)
+            period = self._period_px
             self.warnings.extend(view_faults.of_unlit_glass(region, light, self.inputs.scene.contact.gross_radius_px))
             if np.isfinite(period):
                 picture = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0] - dark

@@ -100,7 +100,7 @@ def of_pressure(normal: Series, gross: Series) -> list[str]:
     if least <= pressure <= most:
         return []
     return [
-        f"the largest normal force, {force:,.3g} N on {area:.3g} mm2, is a mean pressure of {pressure:,.3g} kPa, and "
+        f"the largest normal force, {force:,.3g} N on {area:.3g} mm², is a mean pressure of {pressure:,.3g} kPa, and "
         f"that of fingertips is {least:g} to {most:g} kPa: check [forces] units (mN, g) and gain, and "
         f"calibration.mm_per_px"
     ]
@@ -137,7 +137,7 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
     if peak < 10 * noise or unloaded[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
         return []
     return [
-        f"the contact has {area[frame]:.2g} of its {largest:.2g} mm2 in frame {frame + first_frame}, where the normal "
+        f"the contact has {area[frame]:.2g} of its {largest:.2g} mm² in frame {frame + first_frame}, where the normal "
         f"force is {force[frame]:.2g} of {peak:.2g} N: {cause}"
     ]
 
@@ -154,7 +154,7 @@ def of_growth(normal: Series, gross: Series) -> list[str]:
         return []
     return [
         f"at the end the normal force rises from {force:.2g} to {more:.2g} N, and the contact no longer grows "
-        f"({larger:.3g} mm2): the force is of an earlier moment, or the contact fills the view. Check "
+        f"({larger:.3g} mm²): the force is of an earlier moment, or the contact fills the view. Check "
         f"recording.frame_rate and trigger_frame, and [views.contact]"
     ]
 
@@ -168,7 +168,7 @@ def of_beginning(gross: Series, first_frame: int) -> list[str]:
     if first <= _STARTS * largest or largest <= _GROWS * first:
         return []
     return [
-        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm2 touch in frame {known[0] + first_frame}. "
+        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame {known[0] + first_frame}. "
         f"Skin there has no onset, and its displacement and strain lack what came before: lower recording.first_frame, "
         f"record earlier, or give fields.reference"
     ]
@@ -195,7 +195,7 @@ def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) ->
         return []
     frame = found[0]
     return [
-        f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm2 between frames "
+        f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
         f"{frame + first_frame} and {frame + 1 + first_frame}, {step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} "
         f"times as far as in the frames around: frames may be missing there, and all times after it be wrong. Copy the "
         f"recording again, or give one whose file has time stamps"
@@ -220,7 +220,7 @@ def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, firs
         frame = more[0]
         said.append(
             f"in {len(more)} frames, the first is {frame + first_frame}, the real contact area is larger than the "
-            f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm2), of which it is a part: "
+            f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: "
             f"contact.gross_radius_px = {radius_px} is less than half the distance between ridges"
         )
     known = np.flatnonzero(np.isfinite(gross))
@@ -228,7 +228,7 @@ def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, firs
     if len(jumps):
         before, after = known[jumps[0]], known[jumps[0] + 1]
         said.append(
-            f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm2 between frames "
+            f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm² between frames "
             f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
             f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
             f"recording.first_frame and last_frame"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from fingerflow.models.partial_slip.stick_border import Seen
+from fingerflow.models.partial_slip.stick_border import RampResponse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
@@ -96,7 +96,7 @@ class DenseFlowSlipStage(SlipStage):
                 f'displacement = "points" where the flow departs'
             )
 
-    def _how_seen(self, grid: SlipGrid) -> Seen:
+    def _how_seen(self, grid: SlipGrid) -> RampResponse:
         """Prepare the dense flow; return the function that predicts the displacement that the flow measures near a slip
         border.
         """

@@ -21,7 +21,7 @@ from fingerflow.models.partial_slip import (
     fit_friction,
     judge_trial,
 )
-from fingerflow.models.partial_slip.stick_border import Seen, seen_ramp
+from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.contact.components import largest_component
@@ -143,9 +143,9 @@ class SlipStage(Stage):
             if self._settings.criterion == "border" and self._border is not None:
                 self._border.gather(*self._shown(motion[k], self._grid), region)
 
-    def _how_seen(self, grid: SlipGrid) -> Seen:
+    def _how_seen(self, grid: SlipGrid) -> RampResponse:
         """Return the function that predicts the displacement that tracking windows measure near a slip border."""
-        return partial(seen_ramp, half_window=self._reach)
+        return partial(blurred_ramp, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
         """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.partial_slip.stick_border import BorderFit, Seen, border_level, fit_border
+from fingerflow.models.partial_slip.stick_border import BorderFit, RampResponse, border_level, fit_border
 from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
@@ -54,7 +54,7 @@ class StuckBorder:
         noise: mm, standard deviation of the displacement of points that stick.
     """
 
-    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: Seen, clear: float = 0.0) -> None:
+    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: RampResponse, clear: float = 0.0) -> None:
         self._grid, self._half, self._seen, self._above = grid, half_window_mm, seen, clear
         bins = round((_TO - _FROM) / 2 * _BINS_A_WINDOW)
         self._edges = np.linspace(_FROM, _TO, bins + 1) * half_window_mm
@@ -119,7 +119,7 @@ class StuckBorder:
         """
         if self.fit is None:
             return math.nan
-        hidden = self.fit.grown(_SHARED * self.noise)
+        hidden = self.fit.distance_of(_SHARED * self.noise)
         return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
 
     @property
@@ -186,7 +186,9 @@ class StuckBorder:
         """
         assert self.fit is not None
         at = np.linspace(0, width / 2, 100)
-        shown = np.maximum.accumulate(self.fit.shown(at, self._seen) - self.fit.shown(at - width, self._seen))
+        shown = np.maximum.accumulate(
+            self.fit.measured_at(at, self._seen) - self.fit.measured_at(at - width, self._seen)
+        )
         clear = min(self._above * self.noise, float(shown[-1]))
         if not clear > level:
             return level, 0.0

@@ -1,5 +1,6 @@
 """Tracking of skin points through all frames, in the topographic view."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -140,10 +141,12 @@ class TrackingStage(Stage):
             found = beside([found, _extend_to_batch(len(images), new)])
         pixels, error, status = found.points, found.error, found.status
         covered = self._engine.covered(margin, found.estimate, self._matrix)
+        seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
             "position_std_px": np.sqrt(found.variance),
+            "subset_correlation": np.where(seen, np.concatenate([one.correlation for one in self._seeded]), np.nan),
             "forward_backward_error": error,
             "status": status,
             "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
@@ -162,10 +165,11 @@ class TrackingStage(Stage):
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
 
-    def _create(self, points: int) -> None:
+    def _create(self, points: int, noise: float = math.nan) -> None:
         for variable in TRACKING:
             if "point" in variable.dims:
-                self.results.create(variable.name, point=points)
+                about = {"image_noise": noise} if variable.name == "position_std_px" else None
+                self.results.create(variable.name, about, point=points)
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
@@ -179,7 +183,7 @@ class TrackingStage(Stage):
             )
         asked, apart = self._settings.points, self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
-        self._create(len(points))
+        self._create(len(points), self._engine.noise(image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)

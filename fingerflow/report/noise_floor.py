@@ -1,0 +1,42 @@
+"""Measure the noise floors of displacement and strain from still frames, as the iDICs guide asks (`practice_table`)."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fingerflow.errors import FingerflowError
+from fingerflow.schema.scene import NoiseFloor, Scene
+
+#: Outputs that `noise_floor` needs.
+MEASURED = ("displacement", "divergence", "strain")
+
+
+def still_scene(scene: Scene, frames: Path) -> Scene:
+    """Return the scene of a recording of still frames: the same settings, displacement counted from its first frame."""
+    recording = replace(scene.recording, frames=frames, trigger_frame=None, first_frame=0, last_frame=None)
+    return replace(scene, recording=recording, forces=None, fields=replace(scene.fields, reference="first_frame"))
+
+
+def noise_floor(result: xr.Dataset, scene: Scene) -> NoiseFloor:
+    """Return the standard deviations of displacement, divergence and strain in still frames (`still_scene`).
+
+    Deviations of all points and frames after the first count from the mean of all: what moves all points together,
+    such as vibration between frames, is part of the noise floor. Both frames contribute, the first and the later one.
+
+    Raises FingerflowError where fewer than two frames or three points are known.
+    """
+    found = {}
+    for name in MEASURED:
+        values = result[name].values[1:].astype(np.float64)
+        known = values.reshape(values.shape[0] * values.shape[1], int(np.prod(values.shape[2:])))
+        known = known[np.isfinite(known).all(1)]
+        if len(known) < 3:
+            raise FingerflowError(
+                f"{scene.recording.frames}: {name} is known {len(known)} times after the first frame, 3 are needed: "
+                "record ten or more frames of skin or a print that rests on the glass from the first frame on"
+            )
+        found[name] = float(np.sqrt(known.var(0, ddof=1).mean()))
+    settings = {"window_px": scene.tracking.window_px, "gauge_length_mm": scene.fields.gauge_length_mm}
+    return NoiseFloor(found["displacement"], found["divergence"], found["strain"], **settings)

@@ -1,0 +1,120 @@
+"""The reader plug-in of napari: its layers against the arrays of recording and result, and in napari where it is."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import open_recording, process
+from fingerflow.recordings.frames.open_recording import READERS
+from fingerflow.results.napari_reader import get_reader
+from fingerflow.results.result import save_result
+from tests.small_trials import TINY_PRESS, write_small
+
+MANIFEST = Path(__file__).resolve().parents[2] / "fingerflow" / "napari.yaml"
+Layers = dict[str, tuple[Any, dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, xr.Dataset]:
+    folder = tmp_path_factory.mktemp("napari") / "press"
+    result = process(write_small(folder, TINY_PRESS))
+    save_result(result, folder / "result.h5")
+    return folder, result
+
+
+def layers(path: Path) -> Layers:
+    read = get_reader(str(path))
+    assert read is not None
+    return {settings["name"]: (data, settings) for data, settings, _ in read(str(path))}
+
+
+def test_a_result_is_views_tracks_and_points(trial: tuple[Path, xr.Dataset]) -> None:
+    folder, result = trial
+    found = layers(folder / "result.h5")
+    assert list(found) == ["contact view", "topography view", "tracks", "divergence (µm/mm)"]
+    topography, _ = found["topography view"]
+    half = TINY_PRESS.frame_shape[1] // 2
+    frames = np.load(folder / "frames.npy")
+    assert topography.shape == (8, 96, half)
+    np.testing.assert_array_equal(topography[3], frames[3, :, :half])
+    np.testing.assert_array_equal(topography[2:5, 10:20, 7], frames[2:5, 10:20, 7])
+    np.testing.assert_array_equal(np.asarray(topography), frames[..., :half])
+    tracks, _ = found["tracks"]
+    of_five = tracks[tracks[:, 0] == 5]
+    known = np.isfinite(result["position_px"].values[:, 5]).all(-1)
+    np.testing.assert_array_equal(of_five[:, 1], np.flatnonzero(known))
+    np.testing.assert_allclose(of_five[:, [3, 2]], result["position_px"].values[known, 5], rtol=1e-6)
+    points, settings = found["divergence (µm/mm)"]
+    frame, point = np.nonzero(np.isfinite(result["divergence"].values))
+    assert len(points) == len(frame)
+    values = dict(zip(map(tuple, points[:, 0:1].astype(int)), points, strict=False))
+    assert len(values) == len(np.unique(frame))
+    expected = np.sort(1e3 * result["divergence"].values[frame, point].astype(float))
+    np.testing.assert_allclose(np.sort(settings["features"]["divergence (µm/mm)"]), expected, rtol=1e-6)
+
+
+def test_the_contact_view_lies_on_the_topography(trial: tuple[Path, xr.Dataset]) -> None:
+    """A px of the contact view is drawn where the calibration has the same place of the topography view."""
+    folder, result = trial
+    affine = layers(folder / "result.h5")["contact view"][1]["affine"]
+    position, pixels = result["position"].values, result["position_px"].values
+    known = np.isfinite(pixels).all(-1)
+    in_contact = position[known] / float(result.attrs["mm_per_px"])
+    drawn = affine @ np.column_stack((np.zeros(len(in_contact)), in_contact[:, ::-1], np.ones(len(in_contact)))).T
+    np.testing.assert_allclose(drawn[[2, 1]].T, pixels[known], atol=1e-3)
+
+
+def test_a_recording_is_one_image(trial: tuple[Path, xr.Dataset], tmp_path: Path) -> None:
+    frames = np.load(trial[0] / "frames.npy")
+    with h5py.File(tmp_path / "frames.h5", "w") as file:
+        file.create_dataset("frames", data=frames).attrs["frame_rate"] = 8.0
+    ((data, settings),) = layers(tmp_path / "frames.h5").values()
+    np.testing.assert_array_equal(np.asarray(data), frames)
+    assert settings["contrast_limits"] == (0.0, 255.0)
+    assert settings["metadata"] == {"frame_rate_hz": 8.0}
+
+
+def test_what_is_neither_is_left_to_others(tmp_path: Path) -> None:
+    (tmp_path / "notes.h5").write_text("no HDF5")
+    assert get_reader(str(tmp_path / "notes.h5")) is None
+    assert get_reader([str(tmp_path), str(tmp_path)]) is None
+    assert get_reader(str(tmp_path)) is None
+
+
+def test_a_result_without_its_recording_has_its_points(trial: tuple[Path, xr.Dataset], tmp_path: Path) -> None:
+    _, result = trial
+    moved = result.assign_attrs(settings=result.attrs["settings"].replace("frames.npy", "gone.npy"))
+    save_result(moved, tmp_path / "result.h5")
+    assert list(layers(tmp_path / "result.h5")) == ["tracks", "divergence (µm/mm)"]
+
+
+def test_the_manifest_is_valid_and_names_what_is_read() -> None:
+    npe2 = pytest.importorskip("npe2", reason="npe2, napari's plug-in engine, is not installed: pip install npe2")
+    manifest = npe2.PluginManifest.from_file(MANIFEST)
+    (reader,) = manifest.contributions.readers
+    suffixes = {suffix for some in READERS.values() for suffix in some} | {".zarr"}
+    assert {pattern.removeprefix("*") for pattern in reader.filename_patterns} <= suffixes
+    (one,) = manifest.contributions.commands
+    module, name = one.python_name.split(":")
+    assert (module, name) == (get_reader.__module__, get_reader.__name__)
+
+
+def test_napari_draws_the_layers(trial: tuple[Path, xr.Dataset]) -> None:
+    """Its model of a viewer, which needs no window."""
+    components = pytest.importorskip("napari.components", reason="napari is not installed: pip install napari")
+    layer_of: Callable[..., Any] = pytest.importorskip("napari.layers").Layer.create
+    viewer = components.ViewerModel()
+    read = get_reader(str(trial[0] / "result.h5"))
+    assert read is not None
+    for layer in read(str(trial[0] / "result.h5")):
+        viewer.layers.append(layer_of(*layer))
+    viewer.dims.set_current_step(0, 5)
+    shown = np.asarray(viewer.layers["topography view"]._slice.image.view)
+    np.testing.assert_array_equal(shown, np.load(trial[0] / "frames.npy")[5, :, : shown.shape[1]])
+    assert len(viewer.layers["tracks"].data) > 100
+    assert open_recording(trial[0] / "frames.npy").frame_shape[0] == shown.shape[0]
