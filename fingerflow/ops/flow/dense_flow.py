@@ -62,9 +62,9 @@ _TINY = 1e-12
 # Windows, roughness and warps for scenes with motion boundaries: of photographs, discs that move before others, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
 # A residual is unlike noise above so many times what noise leaves. Edges are looked for where more than this share of
-# the pixels have one: on skin that moves as a whole none has, at a jump of 0.5 px 6 %, on Dimetrodon 4 %. They are taken
-# if the share falls below so much of itself: at motion boundaries to 0.05 to 0.3; under dust to 0.4 or 0.5, in light that
-# changes from place to place to 0.8.
+# the pixels have one: on skin that moves as a whole none has, at a jump of 0.5 px 6 %, on Dimetrodon 4 %. They are
+# taken if the share falls below so much of itself: at motion boundaries to 0.05 to 0.3; under dust to 0.4 or 0.5, in
+# light that changes from place to place to 0.8.
 _UNLIKE_NOISE, _LEAST_SHARE, _BETTER = 2.0, 0.01, 0.4
 
 
@@ -165,8 +165,7 @@ def whole_flow(
     warps: int,
     model: str,
 ) -> Flow:
-    """Compute `dense_flow` as one op that torch does not trace: halved images and the choice of a model depend on data.
-    """
+    """Compute `dense_flow` as one op that torch does not trace, as halved images and the model depend on data."""
     if model == "edges":
         return _flow_with_edges(first, current, initial, mask, noise)[0]
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise)
@@ -186,7 +185,7 @@ def whole_flow(
 def _flow_with_edges(
     first: Tensor, current: Tensor, initial: Tensor | None, mask: Tensor | None, noise: Tensor | None
 ) -> tuple[Flow, Tensor]:
-    """Return the flow for scenes with motion boundaries, and the share (B,) of its pixels that `_unlike_noise` counts."""
+    """Return the flow for scenes with motion boundaries, and the share (B,) of its pixels unlike noise."""
     settings: dict[str, Any] = {"box": _EDGE_BOX, "roughness": _EDGE_ROUGHNESS, "constancy": "both"}
     template = prepare_flow(first, mask, noise=noise, **settings)
     flow = find_flow(template, current, initial, _EDGE_WARPS, "charbonnier")
