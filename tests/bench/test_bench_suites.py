@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bench import dic_codes, timing
 from bench.rows import Row, Skipped, number
 from bench.suites import (
+    curved,
     dense,
     dic,
     drift,
@@ -128,6 +129,16 @@ def test_drift() -> None:
     assert number(walk, "over_bound") > number(key, "over_bound")
     assert key["accepted"] == 1
     assert {row["frame"] for row in rows} == {1, 3, 10, 12}
+
+
+def test_curved() -> None:
+    """Where the displacement is a wave of 100 px, less than half of OpenCV's error; where it is uniform, no noise more
+    than the deviation states. The wave's error is twice the deviation."""
+    rows = curved.run(quick=True)
+    ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))
+    assert number(ours, "rms_px") < 0.55 * number(peer, "rms_px")
+    assert number(ours, "rms_px") < 0.021
+    assert 0.85 < number(one(rows, field="uniform", tracker="fingerflow"), "z") < 1.15
 
 
 def test_dic(shared_data: Path) -> None:

@@ -286,13 +286,14 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
     """Return `found` (B, N) with the results `again` of points `chosen` (B, L) inserted where `wanted` (B, N)."""
+    return Found(*[inserted(whole, part, chosen, wanted) for whole, part in zip(found, again, strict=True)])
 
-    def one(whole: Tensor, part: Tensor) -> Tensor:
-        extra = [1] * (whole.ndim - 2)
-        index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
-        return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
 
-    return Found(*[one(whole, part) for whole, part in zip(found, again, strict=True)])
+def inserted(whole: Tensor, part: Tensor, chosen: Tensor, wanted: Tensor) -> Tensor:
+    """Return `whole` (B, N, ...) with the rows `part` (B, L, ...) of points `chosen` inserted where `wanted` (B, N)."""
+    extra = [1] * (whole.ndim - 2)
+    index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
+    return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
 
 
 def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
