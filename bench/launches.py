@@ -1,15 +1,21 @@
-"""Count the device operations in one step of a graph; this needs no accelerator.
+"""Count the device operations in one step of a graph, with bytes and operations of each; this needs no accelerator.
 
 The module runs on tensors with shapes and types but no values (torch's device `meta`). An operation that reads a value,
 or mixes such tensors with tensors of the host, would make the host wait. An operation that is no view counts as one
 call, whether it launches one kernel or several. The count is that of the portable form, eager.
+
+`bytes` of a call are those of the elements that it reads and writes, each once: what it moves if no cache keeps
+anything from one call to the next. `flops` are two for each product of a matrix product or a convolution, and one for
+each element of any other call.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
@@ -39,15 +45,36 @@ def is_call(operation: Any) -> bool:
     return not operation.is_view and operation.name().partition(".")[0] not in _NO_CALLS
 
 
+#: Calls that read as many elements of their first tensor as they return.
+_GATHERS = ("aten::gather", "aten::index_select", "aten::index.", "aten::take")
+_PRODUCTS = ("aten::matmul", "aten::mm", "aten::bmm", "aten::addmm", "aten::baddbmm")
+
+
 class HostWait(Exception):
     """Wait of the host in a step that reads a value from the accelerator, or copies one to it."""
 
 
+class Work(NamedTuple):
+    """Work of one call on the accelerator: bytes that it reads and writes, and operations."""
+
+    bytes: int
+    flops: int
+
+
 class Launches(NamedTuple):
-    """Number of calls in a step, and its result with (shape, type) in place of each tensor."""
+    """Number of calls in a step, its result with (shape, type) in place of each tensor, and the work of each call.
+
+    Attributes:
+        peak: most bytes alive at a time of tensors that the step makes.
+        captured: calls of the host where the step is captured (`engines.capture`): the graph, and copies of its inputs
+            and results, one for each dtype.
+    """
 
     calls: int
     result: Any
+    work: tuple[Work, ...]
+    peak: int
+    captured: int
 
 
 def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
@@ -71,13 +98,17 @@ def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
     described = tree_map(
         lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
     )
-    return Launches(counter.calls, described)
+    kinds = [{one.dtype for one in tree_leaves(some) if isinstance(one, Tensor)} for some in (given, result)]
+    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, 1 + sum(map(len, kinds)))
 
 
 class _Counter(TorchDispatchMode):
     def __init__(self, first: bool) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
-        self.calls, self._first = 0, first
+        self.work: list[Work] = []
+        self.peak = 0
+        self._alive: dict[StorageWeakRef, int] = {}
+        self._first = first
 
     def __torch_dispatch__(
         self, operation: Any, types: Any, arguments: tuple[Any, ...] = (), options: dict[str, Any] | None = None
@@ -99,5 +130,38 @@ class _Counter(TorchDispatchMode):
         if given and any(after) and not there and not self._first:
             raise HostWait(f"{operation} brings a constant from the host in every call")
         if any(after) and is_call(operation):
-            self.calls += 1
+            self.work.append(_work(name, given, [one for one in tree_leaves(result) if isinstance(one, Tensor)]))
+        if any(after):
+            self._note_memory(given, [one for one in tree_leaves(result) if isinstance(one, Tensor)])
         return result
+
+    def _note_memory(self, given: Sequence[Tensor], results: Sequence[Tensor]) -> None:
+        """Add the storages of results that are no views, and forget those that are freed."""
+        before = {one.untyped_storage()._cdata for one in given}
+        self._alive = {one: size for one, size in self._alive.items() if not one.expired()}
+        for one in results:
+            storage = one.untyped_storage()
+            if storage._cdata not in before:
+                self._alive[StorageWeakRef(storage)] = storage.nbytes()
+        self.peak = max(self.peak, sum(self._alive.values()))
+
+
+def _work(name: str, given: Sequence[Tensor], results: Sequence[Tensor]) -> Work:
+    written = sum(map(_bytes, results))
+    read = [_bytes(one) for one in given]
+    if read and name.startswith(_GATHERS):
+        read[0] = min(read[0], written)
+    elements = max(one.numel() for one in (*given, *results))
+    if name.startswith(_PRODUCTS):
+        flops = 2 * results[0].numel() * given[-1].shape[-2 if given[-1].ndim > 1 else -1]
+    elif name.startswith(("aten::conv", "aten::_convolution")):
+        flops = 2 * results[0].numel() * given[1][0].numel()
+    else:
+        flops = elements
+    return Work(sum(read) + written, flops)
+
+
+def _bytes(tensor: Tensor) -> int:
+    """Return the bytes of the elements of a tensor; one that several positions share, as in `expand`, counts once."""
+    own = math.prod(size for size, step in zip(tensor.shape, tensor.stride(), strict=True) if step or size == 0)
+    return min(own * tensor.element_size(), tensor.untyped_storage().nbytes())

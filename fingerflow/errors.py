@@ -17,6 +17,12 @@ class NoRoomError(FingerflowError):
     """Error for lack of memory or disk space, which may be transient: the same run may succeed another time."""
 
 
+def is_out_of_memory(error: BaseException) -> bool:
+    """Return True if an error says that memory is too small, also that of a GPU (torch.OutOfMemoryError)."""
+    said = isinstance(error, RuntimeError) and "allocate memory" in str(error)
+    return said or isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+
+
 def first_line(error: BaseException) -> str:
     """Return the first line of an error's message, up to 160 characters, without a system error's number and path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -1,5 +1,6 @@
 """Fixtures that more than one room of tests uses."""
 
+import os
 import shutil
 import signal
 import sys
@@ -18,6 +19,9 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
 from fingerflow.synthetic.marker_gel import write_gel_recording
 from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
+
+if not torch.cuda.is_available():
+    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported, whose kernels then run in Python
 
 #: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
 #: before the others that play it, which would wait for it.

@@ -156,7 +156,7 @@ def test_waiting_is_noticed(what: str) -> None:
 
 def test_launches_are_counted_and_views_are_not() -> None:
     step = Formula(lambda values: (values[None, :2] * 2 + torch.arange(2, device=values.device)).T.sum())
-    assert count_launches(step, (torch.ones(3),)) == (4, ((), torch.float32))
+    assert count_launches(step, (torch.ones(3),))[:2] == (4, ((), torch.float32))
     own = Formula(lambda values: values + step.constant.to("meta"))
     own.formula = lambda values: values + own.constant
     assert count_launches(own, (torch.ones(3),)).calls == 1

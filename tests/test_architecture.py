@@ -22,7 +22,7 @@ _TABLE = {
     "ops": "kernels tensors",
     "graphs": "kernels ops",
     "engines": "errors kernels schema",  # of NumPy arrays
-    "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py
+    "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py, capture.py
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
     "models": "errors tensors",
@@ -48,13 +48,14 @@ PACKAGES = {
     "errors": set(),
     "schema": set(),
     "kernels": {"numpy"},
-    "tensors": {"torch"},
+    "tensors": {"torch", "triton"},  # Triton only where it is installed
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
     "engines": {"numpy", "onnxruntime"},
     "torch_engine": {"numpy", "torch"},
     "tracker": {"numpy"},
-    "player": {"numpy", "cv2"},  # cv2 only where it is installed, for videos
+    # All but NumPy only where they are installed: for videos and cameras, outputs and sensors.
+    "player": {"numpy", "cv2", "harvesters", "pylsl", "serial", "zmq"},
 }
 
 
@@ -104,7 +105,7 @@ def room_of(path: Path) -> str:
 
 def _room(parts: list[str]) -> str:
     own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
-    own |= {("engines", "torch"): "torch_engine"}
+    own |= {("engines", one): "torch_engine" for one in ("torch", "capture")}
     return own.get(tuple(parts[:2]), parts[0])
 
 

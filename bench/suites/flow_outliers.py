@@ -1,14 +1,18 @@
-"""Errors of dense flow at motion edges and under dust: quadratic and robust penalties, and other libraries.
+"""Errors of dense flow at motion edges and under dust: the models of `dense_flow`, and other libraries.
 
 Ridges and whorl of the suite `flow`, 320 x 400 px, 8 bit, noise of 2 grey levels. `jump`: inside an ellipse skin is
 stuck, outside it slips by 0.5 or 1.5 px along x; what then hides behind the ellipse is left out. `dust`: 300 specks of
 half the light, radii of 1.5 to 3 px, rest in the picture while the skin moves by up to 1.6 px. `epe_px` is the mean
 length of the error, `near_px` that within 5 px of the ellipse's border or of a speck, `far_px` that beyond, `div` the
 RMS error of the divergence (sigma 8 px) beyond, in 1e-3; 24 px at the border of the picture are left out. Three warps.
+
+`discs` are scenes like photographs: three discs in front of a background, texture of all periods from 5 to 80 px, each
+moved by up to 4 px in x and y of its own, stretched and turned by up to 2 %.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -20,6 +24,7 @@ from bench.rows import Row
 from bench.skin import grey, photograph
 from bench.suites.flow import NOISE, divergence, inner, opencv, pair, ridges
 from fingerflow.ops.flow.dense_flow import dense_flow
+from fingerflow.ops.flow.flow_penalty import FlowModel
 from fingerflow.synthetic import texture_image
 
 Scene = tuple[Tensor, Tensor, Tensor, Tensor]  # two images, the truth, NaN where there is none, and what is near
@@ -33,6 +38,8 @@ def run(quick: bool) -> list[Row]:
         "jump of 1.5 px": lambda: jump(shape, 1.5),
         "dust on ridges": lambda: dust(shape, ridges(), specks),
         "dust on a whorl": lambda: dust(shape, grey, specks),
+        "discs": lambda: discs(shape, 0),
+        "other discs": lambda: discs(shape, 1),
     }
     rows: list[Row] = []
     for scene, made in scenes.items():
@@ -60,9 +67,7 @@ def _found(first: Tensor, current: Tensor) -> dict[str, Tensor]:
     peers = opencv(first[0, 0].numpy(), current[0, 0].numpy())
     return {
         **{name: way() for name, way in peers.items()},
-        "fingerflow, quadratic": ours(),
-        "fingerflow, charbonnier": ours(penalty="charbonnier"),
-        "fingerflow, gradient, charbonnier": ours(penalty="charbonnier", constancy="gradient"),
+        **{f"fingerflow, {model}": ours(model=model) for model in get_args(FlowModel)},
     }
 
 
@@ -90,6 +95,32 @@ def jump(shape: tuple[int, int], slip: float) -> Scene:
     along = torch.where(~stuck & inside(x + slip, y), torch.nan, along)
     to_border = sum(cv2.distanceTransform(side.numpy().astype(np.uint8), cv2.DIST_L2, 5) for side in (stuck, ~stuck))
     return first, current, torch.stack((along, 0 * x))[None], torch.as_tensor(to_border) <= 5
+
+
+def discs(shape: tuple[int, int], seed: int) -> Scene:
+    """Three discs that move before a background, each by an affine motion of its own."""
+    height, width = shape
+    random = np.random.default_rng(seed)
+    x, y = _places(shape)
+    truth, near = torch.zeros(1, 2, *shape, dtype=torch.float64), torch.zeros(shape, dtype=torch.bool)
+    first, current = torch.zeros_like(x), torch.zeros_like(x)
+    for k in range(4):
+        centre = torch.tensor(random.uniform(0.2, 0.8, 2) * (width, height))[:, None, None]
+        radius = math.inf if k == 0 else random.uniform(0.12, 0.28) * height
+        shift = torch.tensor(random.uniform(-4, 4, 2))[:, None, None]
+        matrix = torch.eye(2, dtype=torch.float64) + torch.tensor(random.uniform(-0.02, 0.02, (2, 2)))
+        texture = ridges(300, 5.0, 80.0, seed=100 * seed + k)
+        here = torch.stack((x, y)) - centre
+        before = torch.einsum("ij,jhw->ihw", torch.linalg.inv(matrix), here - shift)
+        first, current = (
+            torch.where(at.norm(dim=0) < radius, texture(*(at + centre)), under)
+            for at, under in ((here, first), (before, current))
+        )
+        moved = torch.einsum("ij,jhw->ihw", matrix, here) + shift - here
+        truth = torch.where(here.norm(dim=0) < radius, moved, truth)
+        near = (near & (here.norm(dim=0) >= radius)) | ((here.norm(dim=0) - radius).abs() <= 5)
+    first, current = (photograph(one[None, None], NOISE, number) for number, one in enumerate((first, current)))
+    return first, current, truth, near
 
 
 def dust(shape: tuple[int, int], texture: Callable[[Tensor, Tensor], Tensor], count: int) -> Scene:

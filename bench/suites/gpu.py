@@ -1,16 +1,23 @@
 """Run time of the graphs on a GPU: eager, captured and compiled, for one frame or for frames of several recordings.
 
 `contact` is `ContactGraph` on frames of a press in full contact, `key` is `KeyGraph` on 700 points of skin, `tracking`
-is `TrackGraph` on its templates and skin moved by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points;
-views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a camera's cable
-and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled` is
-`torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
-same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
-`deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
+is `TrackGraph` on its templates and skin moved by 0.3 px, `outliers` and `deformation` are `AgreementGraph` and
+`DeformationGraph` on what it found, `fields` is `FieldsGraph` on the displacements of 700 points with deviations and
+medians; views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a
+camera's cable and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call;
+`compiled` is `torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer
+is over the same frames on this machine's processor, by the same graphs and with the compiled kernels where they were
+built. `deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
 divergence; NaN in one and not in the other counts as infinite.
 
-`launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
-a step that makes the host wait, `waits` says for what, and it cannot be captured. Without CUDA these are all rows.
+`launches` are the operations that an eager call of the portable form gives the accelerator, `MB` and `MFLOP` what they
+move and compute for a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it
+cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
+upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a
+recording takes: all but `key`. `launches_captured` are those of the host where each step is captured: a graph, and
+copies of its inputs and results, by dtype. In the rows `fused` the kernel of Triton follows the points, eight frames in
+a launch, of which one is counted; bytes and operations are those of a formula. Where Triton is installed beside CUDA,
+`tracking` is this kernel. Without CUDA these are all rows, and nothing is measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,49 +25,40 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.utils._pytree import tree_map
+from torch.utils._pytree import tree_leaves, tree_map
 
-from bench.launches import HostWait, count_launches
+from bench.devices import DEVICES, fused_tracking, predicted_seconds
+from bench.launches import HostWait, Launches, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
-from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, LightGraph, TrackGraph
+from fingerflow.engines.capture import Captured
+from fingerflow.graphs import (
+    AgreementGraph,
+    ContactGraph,
+    DeformationGraph,
+    FieldsGraph,
+    GrossEllipse,
+    KeyGraph,
+    LightGraph,
+    TrackGraph,
+)
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.synthetic import Press
 
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
 
+_FRAMES = 8  # that the fused kernel follows in one launch
+_BEFORE = 3  # calls that are not timed: a module is captured in its third
+
 Call = Callable[..., object]
-
-
-def captured(graph: nn.Module) -> Call:
-    """The graph as one CUDA graph for the inputs of the first call, which are read again in every call."""
-    replay: list[Callable[[], object]] = []
-
-    def call(*inputs: Any) -> object:
-        if not replay:
-            ahead = torch.cuda.Stream()  # what is set up in a first call is not to be captured
-            with torch.cuda.stream(ahead):
-                for _ in range(3):
-                    graph(*inputs)
-            torch.cuda.current_stream().wait_stream(ahead)
-            recorded = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(recorded):
-                results = graph(*inputs)
-
-            def again() -> object:
-                recorded.replay()
-                return results
-
-            replay.append(again)
-        return replay[0]()
-
-    return call
 
 
 WAYS: Mapping[str, Callable[[nn.Module], Call]] = {
     "eager": lambda graph: graph,
-    "captured": captured,
+    "captured": Captured,
     "compiled": lambda graph: torch.compile(graph, dynamic=False),
 }
 
@@ -77,19 +75,61 @@ def run(quick: bool) -> list[Row]:
     """One row a work, way and number of recordings."""
     shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
     if not torch.cuda.is_available():
-        return [
-            {"work": name, "recordings": batch, **_launches(work)}
-            for batch in batches
-            for name, work in _works(shape, points, batch).items()
-        ]
+        return [row for batch in batches for row in _predicted_rows(_works(shape, points, batch), batch)]
     return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
 
 
-def _launches(work: "Work") -> dict[str, int | str | None]:
+def _predicted_rows(works: "Mapping[str, Work]", batch: int) -> list[Row]:
+    """Return a row for each work, and one for their sum over a frame."""
+    counted = {name: _launches(work) for name, work in works.items()}
+    steps = {name: launches for name, launches in counted.items() if isinstance(launches, Launches)}
+    of_frame = [launches for name, launches in steps.items() if name != "key"]
+    rows: list[Row] = [
+        {"work": name, "recordings": batch, **_counts(launches, batch), "measured": "none: no device here"}
+        for name, launches in counted.items()
+    ]
+    if len(steps) == len(works):
+        rows.append({**rows[-1], "work": "frame", **_counts(_joined(of_frame), batch)})
+        points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
+        work = tuple(fused_tracking(points, window, batch, _FRAMES))
+        fused = Launches(1, None, work, 0, steps["tracking"].captured)
+        others = [launches for name, launches in steps.items() if name not in ("key", "tracking")]
+        for name, launches in (("tracking, fused", fused), ("frame, fused", _joined([*others, fused]))):
+            rows.append({**rows[-1], "work": name, **_counts(launches, batch)})
+    return rows
+
+
+def _joined(steps: Sequence[Launches]) -> Launches:
+    """Return the launches of several steps, one after the other."""
+    work = sum((one.work for one in steps), ())
+    return Launches(len(work), None, work, max(one.peak for one in steps), sum(one.captured for one in steps))
+
+
+def _launches(work: "Work") -> Launches | str:
+    """Return the launches of a work, or for what the host waits."""
     try:
-        return {"launches": count_launches(work.graph, work.inputs).calls, "waits": None}
+        return count_launches(work.graph, work.inputs)
     except HostWait as wait:
-        return {"launches": None, "waits": str(wait)}
+        return str(wait)
+
+
+def _counts(launches: Launches | str, batch: int) -> dict[str, float | int | str | None]:
+    """Return the columns of counts, and the frames a second that they predict for a call of `batch` frames."""
+    if isinstance(launches, str):
+        return {"launches": None, "waits": launches}
+    return {
+        "launches": launches.calls,
+        "launches_captured": launches.captured,
+        "waits": None,
+        "MB": sum(one.bytes for one in launches.work) / batch / 1e6,
+        "MFLOP": sum(one.flops for one in launches.work) / batch / 1e6,
+        "peak_MB": launches.peak / batch / 1e6,
+        **{
+            f"{name} {way}": float(round(batch / predicted_seconds(launches.work, device, way == "captured")))
+            for name, device in DEVICES.items()
+            for way in ("eager", "captured")
+        },
+    }
 
 
 @torch.inference_mode()
@@ -111,8 +151,10 @@ def rows_on(
             calls |= {
                 way: _call(prepare(work.graph), on_device)
                 for way, prepare in ways.items()
-                if prepare is not captured or launches["waits"] is None
+                if prepare is not Captured or isinstance(launches, Launches)
             }
+            for call in (*calls.values(),) * _BEFORE:
+                call()
             times = time_in_turns(calls, PEER, rounds)
             expected = work.result(calls[PEER]())
             for way, call in calls.items():
@@ -121,7 +163,7 @@ def rows_on(
                         "work": name,
                         "recordings": batch,
                         "way": way,
-                        **launches,
+                        **_counts(launches, batch),
                         **times[way].of_each(batch).cells(),
                         "deviation": _deviation(work.result(call()).cpu(), expected),
                     }
@@ -132,7 +174,7 @@ def rows_on(
 def _call(graph: Call, inputs: tuple[Any, ...]) -> Callable[[], object]:
     def call() -> object:
         result = graph(*inputs)
-        if inputs[-1].is_cuda:
+        if any(one.is_cuda for one in tree_leaves(inputs) if isinstance(one, Tensor)):
             torch.cuda.synchronize()
         return result
 
@@ -157,11 +199,27 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
     key = KeyGraph(21)
     covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
+    templates = key(previous, places)
+    found = TrackGraph()(templates, current, places)
+    near = find_neighbours(places, WARP_GAUGE_PX)
+    straight = torch.eye(2).expand_as(covariance).contiguous()
+    middle = torch.tensor([[shape[1] / 2, shape[0] / 2]]).repeat(batch, 1)
+    ellipse = GrossEllipse(middle, middle * 0.6, torch.zeros(batch))
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
         "key": Work(key, (previous, places), lambda templates: templates.samples),
-        "tracking": Work(TrackGraph(), (key(previous, places), current, places), lambda found: found.points),
-        "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
+        "tracking": Work(TrackGraph(), (templates, current, places), lambda found: found.points),
+        "outliers": Work(
+            AgreementGraph(),
+            (near, places, found.points, found.variance.sqrt()),
+            lambda outliers: outliers.off_neighbours.float(),
+        ),
+        "deformation": Work(
+            DeformationGraph(21), (places, found, templates.numbers, straight), lambda deformed: deformed.found.points
+        ),
+        "fields": Work(
+            FieldsGraph(50.0), (places, displacement, covariance, ellipse), lambda fields: fields.divergence
+        ),
     }
 
 

@@ -29,7 +29,7 @@ from fingerflow import load_scene, process
 from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import FingerprintTexture, Press, Slide, SyntheticScene
-from fingerflow.tracker.subset_verification import Verification
+from fingerflow.tracker.subset_verification import Verification, Verified
 
 SMALL: dict[str, Any] = {"frame_shape": (320, 800), "finger": (5.0, 4.2), "semi_axes": (3.6, 3.1)}
 QUICK: dict[str, Any] = {"frame_shape": (160, 400), "finger": (2.7, 2.3), "semi_axes": (2.0, 1.7)}
@@ -71,17 +71,17 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
     loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
     check = Verification.check
 
-    def timed(verification: Verification, *given: Array) -> Steps[Array]:
+    def timed(verification: Verification, *given: Array) -> Steps[Verified]:
         start = time.process_time()
-        failed = run_alone(check(verification, *given))
+        found = run_alone(check(verification, *given))
         seconds.append(time.process_time() - start)
         images, points, status, warp = (np.array(one) for one in given)
         last[:] = [(verification, images, points, status, warp)]
-        return failed
+        return found
         yield  # a generator, as what it stands for
 
-    def trusting(_: Verification, images: Array, points: Array, *others: Array) -> Steps[Array]:
-        return np.zeros(points.shape[1], dtype=bool)
+    def trusting(_: Verification, images: Array, points: Array, *others: Array) -> Steps[Verified]:
+        return Verified.none(points.shape[1])
         yield
 
     with one_thread():
@@ -121,9 +121,9 @@ def _put_beside(
             angle = 2 * math.pi * generator.random(len(chosen))
             away = least + (most - least) * generator.random(len(chosen))
             shift = away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
-            verification.failed[:] = False
+            verification.latest = Verified.none(len(chosen))
             moved = np.where(chosen[:, None], points + shift, points).astype(np.float32)
-            fails = run_alone(verification.check(images, moved, status, warp))
+            fails = run_alone(verification.check(images, moved, status, warp)).differs
             failed, count = failed + int((fails & chosen).sum()), count + int(chosen.sum())
         cells[name] = failed / count if count else None
     return cells

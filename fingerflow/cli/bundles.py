@@ -10,7 +10,7 @@ from fingerflow.cli.app import AsJson, app, tell
 from fingerflow.errors import FingerflowError
 
 if TYPE_CHECKING:
-    from fingerflow.player.live_data import LiveForces
+    from fingerflow.player.live_forces import LiveForces
 
 
 @app.command()
@@ -41,7 +41,7 @@ def stream(context: typer.Context) -> None:
 def _forces_of(file: Path) -> "LiveForces | None":
     """Return the forces of a scene as `process` computes them; log the reason and return None if unreadable."""
     from fingerflow.pipeline.run import process
-    from fingerflow.player.live_data import LiveForces
+    from fingerflow.player.live_forces import LiveForces
     from fingerflow.schema.scene import load_scene
 
     try:
@@ -49,6 +49,6 @@ def _forces_of(file: Path) -> "LiveForces | None":
         names = ["normal_force", *(["tangential_force"] if scene.has("forces.tangential") else [])]
         found = process(scene, names)
     except FingerflowError as error:
-        logging.getLogger("fingerflow.player").warning("%s; the page shows no force", error)
+        logging.getLogger("fingerflow.player").warning("%s; the forces are unknown", error)
         return None
     return LiveForces(int(found["frame"][0]), {name: found[name].values for name in names})

@@ -22,7 +22,10 @@ _STRETCH = np.array([[1.01, 0.004], [-0.003, 0.995]])
 _SHIFT = np.array([0.3, -0.2])
 _BESIDE = 0.2  # px, error of the predicted positions
 _MARGIN = 8  # px from a window to the border
+_DIFFERENT = "its numbers of the built-in frame are not those of the bundle"
 _UNKNOWN = 7  # every 7th point is NaN
+_FOUND = 0.8  # least share of the points that is found where it is
+_TURNS = 6  # frames computed in turns: more than an engine computes before it records a graph
 _FLIPS = 0.01  # share of the values that may be finite in only one of both results
 
 
@@ -71,6 +74,8 @@ class BuiltIn(NamedTuple):
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
     """Check that the results of an engine for the built-in frame agree with those stored in a bundle.
 
+    Frames of other content must have other results (`check_frames`).
+
     Args:
         engine: created for the views and the number of points of the bundle.
         expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and its results.
@@ -86,26 +91,57 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
         ) from None
     frame = built_in(height, width, bit_depth, points, engine.settings.window_px)
+    check_frames(engine, frame)
     for name, ours in numbers_of(engine, frame).items():
         theirs, tolerance = of_bundle[name], TOLERANCES[name]
         known = np.isfinite(ours), np.isfinite(theirs)
         if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
-            raise FingerflowError(
-                _sentence(engine, f"{name} is known elsewhere, {known[0].sum()} for {known[1].sum()} times")
-            )
+            found = f"{name} is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
+            raise FingerflowError(_sentence(engine, f"{_DIFFERENT} ({found})"))
         apart, both = np.abs(ours - theirs), known[0] & known[1]
         if tolerance.relative:
             apart = apart / np.maximum(np.abs(theirs), 1e-6)
         worst = float(np.max(apart[both], initial=0.0))
         if not worst <= tolerance.most:
             found = f"{name} is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
-            raise FingerflowError(_sentence(engine, found))
+            raise FingerflowError(_sentence(engine, f"{_DIFFERENT} ({found})"))
+
+
+def check_frames(engine: Engine, frame: BuiltIn) -> None:
+    """Check that an engine computes each frame anew: two built-in frames in turns have their own results every time.
+
+    A recorded graph that reads the first frame for ever gives the same results for both.
+
+    Raises:
+        FingerflowError: a result is not that of its frame.
+    """
+    light = engine.light(frame.empty.astype(np.float32), None)
+    templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
+    threshold, still = np.array([THRESHOLD], np.float32), np.zeros_like(frame.points)
+    for turn in range(_TURNS):
+        moved = turn % 2
+        topography, expected, truth = (
+            (frame.topography, frame.expected, frame.expected - np.float32(_BESIDE))
+            if moved
+            else (frame.key, frame.points, frame.points)
+        )
+        found = engine.follow(templates, engine.images(topography[None]), expected, still).found.points[0]
+        contact = engine.contact(engine.images((frame.contact if moved else frame.empty)[None]), light, threshold)
+        apart, area = np.abs(found - truth)[np.isfinite(frame.points[:, 0])], contact.real_area_px[0]
+        if np.mean(apart < _BESIDE / 2) < _FOUND or (area > 0) != moved:
+            raise FingerflowError(
+                _sentence(
+                    engine,
+                    f"of two frames in turns one has results that are not its own: positions are off by "
+                    f"{np.median(apart):.2g} px, and {area:.0f} px are in contact",
+                )
+            )
 
 
 def _sentence(engine: Engine, found: str) -> str:
     return (
-        f"engine {engine.described}: its numbers of the built-in frame are not those of the bundle ({found}), so that "
-        "none of its numbers can be trusted here; choose another engine or another provider"
+        f"engine {engine.described}: {found}, so that none of its numbers can be trusted here; choose another engine "
+        "or another provider"
     )
 
 

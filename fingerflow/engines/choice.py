@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+from functools import cache
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import Bundle
-from fingerflow.engines.check import check_engine
+from fingerflow.engines.check import built_in, check_engine, check_frames
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
@@ -27,11 +28,12 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
-        device: on which tensors are computed.
+        device: on which tensors are computed; on a GPU of CUDA calls are replayed as graphs (`engines.capture`).
 
     Raises:
         FingerflowError: native is requested where it cannot be used.
     """
+    from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
     from fingerflow.kernels.tensors import serve
 
@@ -45,7 +47,24 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
+    if device.type == "cuda" and _captures(settings, device):
+        return TorchEngine(settings, device, Captured)
     return TorchEngine(settings, device)
+
+
+@cache
+def _captures(settings: EngineSettings, device: torch.device) -> bool:
+    """Return whether an engine of captured modules gives each of two built-in frames its own results; log if not."""
+    from fingerflow.engines.capture import Captured
+    from fingerflow.engines.torch import TorchEngine
+
+    side = max(96, 4 * settings.window_px)
+    try:
+        check_frames(TorchEngine(settings, device, Captured), built_in(side, side, 8, 24, settings.window_px))
+    except FingerflowError as error:
+        log.warning("the modules are not captured as graphs and computed call by call: %s", error)
+        return False
+    return True
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
@@ -77,21 +96,25 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             raise FingerflowError(f"--engine native: {why}; leave the option out, or take --engine onnx")
     try:
         from fingerflow.engines.onnx import OnnxEngine
-        from fingerflow.engines.providers import CPU, installed_providers
+        from fingerflow.engines.providers import installed_providers
+        from fingerflow.engines.sessions import CAPTURING
     except ModuleNotFoundError as error:
         raise FingerflowError(
             f"no engine serves here: native does not ({why}), and onnxruntime cannot be loaded ({error}); install it: "
             f"pip install onnxruntime"
         ) from None
-    for one in [provider] if provider else installed_providers():
+    names = [provider] if provider else list(installed_providers())
+    ways = [(one, captured) for one in names for captured in (True, False) if one in CAPTURING or not captured]
+    for one, captured in ways:
         try:
-            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads)
+            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads, captured)
             check_engine(engine, bundle.expected)
             break
         except FingerflowError as error:
-            if provider or one == CPU:
+            if (one, captured) == ways[-1]:
                 raise
-            log.warning("provider %s does not serve here and the next is taken: %s", one, error)
+            of_graphs = " with captured graphs" if captured else ""
+            log.warning("provider %s does not serve here%s and the next is taken: %s", one, of_graphs, error)
     log.info("engine: %s, as %s", engine.described, why)
     return engine
 

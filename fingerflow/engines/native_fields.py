@@ -103,12 +103,13 @@ def _area_medians(
     np.sin(ellipse.angle, out=ellipses[:, 5])
     among = fields = deviations = None
     if entered is not None:
-        among, parts = entered.among, entered.gradient.reshape(-1, 4).T
-        fields = _fields(parts, measure).T.reshape(*among.shape, 5)
+        among = entered.among
+        parts, fields = entered.gradient[among].reshape(-1, 4).T, np.full((*among.shape, 5), _UNKNOWN)
+        fields[among] = _fields(parts, measure).T
         if covariance is not None:
             assert entered.covariance is not None, "known where that of the displacements is"
-            spread = entered.covariance.reshape(-1, 4, 4)
-            deviations = _field_deviations(parts, spread, measure).reshape(*among.shape, 5)
+            deviations = np.full_like(fields, _UNKNOWN)
+            deviations[among] = _field_deviations(parts, entered.covariance[among].reshape(-1, 4, 4), measure)
     return area_medians(
         *(reference, displacement, ellipses, covariance),
         *(among, fields, deviations),
@@ -150,15 +151,15 @@ def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
     ux, uy, vx, vy = parts
     direct = 0 if measure == "infinitesimal" else 1
     mixed = 1 if measure == "green_lagrange" else 0
-    sensitivity = np.zeros((5, 4, parts.shape[1]), np.float32)
-    sensitivity[0, 0] = sensitivity[0, 3] = sensitivity[1, 2] = 1
-    sensitivity[1, 1] = -1
-    sensitivity[2, 0], sensitivity[2, 2] = 1 + direct * ux, direct * vx
-    sensitivity[3, 1], sensitivity[3, 3] = direct * uy, 1 + direct * vy
-    sensitivity[4, 0], sensitivity[4, 1] = mixed * uy, 1 + mixed * ux
-    sensitivity[4, 2], sensitivity[4, 3] = 1 + mixed * vy, mixed * vx
-    sensitivity[4] /= 2
-    return _root(np.einsum("fip,pij,fjp->pf", sensitivity, spread, sensitivity))
+    sensitivity = np.zeros((parts.shape[1], 5, 4), np.float32)
+    divergence, curl, exx, eyy, exy = sensitivity.transpose(1, 2, 0)
+    divergence[0] = divergence[3] = curl[2] = 1
+    curl[1] = -1
+    exx[0], exx[2] = 1 + direct * ux, direct * vx
+    eyy[1], eyy[3] = direct * uy, 1 + direct * vy
+    exy[:] = mixed * uy, 1 + mixed * ux, 1 + mixed * vy, mixed * vx
+    exy /= 2
+    return _root(((sensitivity @ spread) * sensitivity).sum(-1))
 
 
 def _root(variance: Array) -> Array:

@@ -87,7 +87,7 @@ class OnnxEngine:
     Args:
         files: paths of the graphs, by name.
         settings: of the recipe that the bundle was exported from (`bundle_settings`).
-        provider, threads: as for `sessions.Sessions`.
+        provider, threads, captured: as for `sessions.Sessions`.
 
     Attributes:
         points: N.
@@ -104,10 +104,11 @@ class OnnxEngine:
         settings: EngineSettings,
         provider: str = CPU,
         threads: int = 1,
+        captured: bool = False,
     ) -> None:
         self.settings = settings
-        self._sessions = Sessions(files, provider, threads)
-        self.described = f"onnx ({self._sessions.provider})"
+        self._sessions = Sessions(files, provider, threads, captured)
+        self.described = f"onnx ({self._sessions.provider}{', captured' if captured else ''})"
         inputs = self._sessions["track"].inputs
         self.points = inputs["prediction"].shape[1]
         self._few = self._sessions["track_few"].inputs["prediction"].shape[1]

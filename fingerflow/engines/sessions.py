@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +17,9 @@ from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
 
-_ON_GPU = ("tensorrt", "cuda")  # providers that keep the inputs of several calls in GPU memory
+_ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
+#: Providers that can capture a graph as one CUDA graph, with the option that says so.
+CAPTURING = {"cuda": "enable_cuda_graph", "tensorrt": "trt_cuda_graph_enable"}
 _NUMPY = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -27,8 +31,11 @@ _NUMPY = {
 }
 
 
+log = logging.getLogger("fingerflow.engines")
+
+
 class Input(NamedTuple):
-    """Shape and dtype of an input of an ONNX graph; a batch axis of variable size counts as 1."""
+    """Shape and dtype of an input or output of an ONNX graph; a batch axis of variable size counts as 1."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -37,17 +44,24 @@ class Input(NamedTuple):
 class GraphSession:
     """ONNX Runtime session of one graph of a bundle, which several threads may call at once.
 
+    Args:
+        device: in whose memory inputs are kept, "cpu" or "cuda".
+        bound: bind inputs and outputs to fixed addresses of the device, as a captured graph needs them.
+
     Attributes:
         inputs: by name.
         shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU,
             unless the graph computes in float64.
     """
 
-    def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
+    def __init__(self, session: ort.InferenceSession, path: Path, device: str, bound: bool) -> None:
         self._session, self._path, self._device = session, path, device
-        self.inputs = {one.name: _input(one, path) for one in session.get_inputs()}
-        self._names = [one.name for one in session.get_outputs()]
-        self.shares_memory = device == "cpu" and all(one.dtype != np.float64 for one in self.inputs.values())
+        self.inputs = {one.name: _fixed_size(one, path) for one in session.get_inputs()}
+        outputs = {one.name: _fixed_size(one, path) for one in session.get_outputs()}
+        self._names = list(outputs)
+        self._bound = _BoundSession(session, self.inputs, outputs, device) if bound else None
+        own_memory = bound or device != "cpu"
+        self.shares_memory = not own_memory and all(one.dtype != np.float64 for one in self.inputs.values())
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
         """Run the graph on inputs by name and return outputs by name; float64 outputs become float32.
@@ -56,7 +70,8 @@ class GraphSession:
         """
         feed = {name: self._array(name, given[name]) for name in self.inputs}
         try:
-            results = self._session.run(self._names, feed)  # plain arrays: wrapping takes longer than a small graph
+            # Plain arrays where they are not bound: wrapping takes longer than a small graph.
+            results = self._bound(feed) if self._bound else self._session.run(self._names, feed)
         except Exception as error:
             raise FingerflowError(
                 f"{self._path}: onnxruntime cannot run it here ({first_line(error)}); choose another provider"
@@ -77,6 +92,35 @@ class GraphSession:
         return np.ascontiguousarray(array, dtype)
 
 
+class _BoundSession:
+    """Session whose inputs and outputs have fixed addresses in the memory of a device."""
+
+    def __init__(
+        self, session: ort.InferenceSession, inputs: Mapping[str, Input], outputs: Mapping[str, Input], device: str
+    ) -> None:
+        make = ort.OrtValue.ortvalue_from_shape_and_type
+        self._given, self._found = (
+            {name: make(one.shape, one.dtype, device) for name, one in some.items()} for some in (inputs, outputs)
+        )
+        self._session, self._binding = session, session.io_binding()
+        for name, value in self._given.items():
+            self._binding.bind_ortvalue_input(name, value)
+        for name, value in self._found.items():
+            self._binding.bind_ortvalue_output(name, value)
+        self._latest: dict[str, Any] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, feed: Mapping[str, Any]) -> list[Array]:
+        """Run the session and return copies of the outputs. A value that is kept is copied once, an array each time."""
+        with self._lock:
+            for name, value in feed.items():
+                if isinstance(value, np.ndarray) or self._latest.get(name) is not value:
+                    self._given[name].update_inplace(value)
+                    self._latest[name] = value
+            self._session.run_with_iobinding(self._binding)
+            return [np.array(value.numpy()) for value in self._found.values()]
+
+
 class Sessions:
     """Sessions of all graphs of a bundle, opened with one execution provider.
 
@@ -85,6 +129,7 @@ class Sessions:
         provider: short name, of `providers.installed_providers`.
         threads: inside an operator. One is fastest: an operator of these graphs takes some microseconds, and threads
             wait for each other at each of them.
+        captured: a provider of `CAPTURING` captures each graph that it computes without another provider.
 
     Attributes:
         provider: full name.
@@ -93,8 +138,10 @@ class Sessions:
         FingerflowError: the provider is not installed or does not run here, or a file is not what its name says.
     """
 
-    def __init__(self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> None:
-        self._threads = threads
+    def __init__(
+        self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1, captured: bool = False
+    ) -> None:
+        self._threads, self._captured = threads, captured and provider in CAPTURING
         self._short, self.provider = provider, provider_named(provider)
         self._sessions = {name: self._open(name, path) for name, path in files.items()}
 
@@ -104,28 +151,37 @@ class Sessions:
         return self._sessions[name]
 
     def _open(self, name: str, path: Path) -> GraphSession:
-        session = self._session(path)
+        session = None
+        if self._captured:
+            try:
+                session = self._session(path, captured=True)
+            except FingerflowError as error:
+                log.warning("%s is not captured as a graph: %s", path.name, error)
+        session = session or self._session(path)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        return GraphSession(session, path, "cuda" if self._short in _ON_GPU else "cpu")
+        on_gpu = self._short in _ON_GPU
+        return GraphSession(session, path, "cuda" if on_gpu else CPU, bound=on_gpu)
 
-    def _session(self, path: Path) -> ort.InferenceSession:
+    def _session(self, path: Path, captured: bool = False) -> ort.InferenceSession:
         options = ort.SessionOptions()
         options.intra_op_num_threads = self._threads
         options.log_severity_level = 3
         # Idle threads of the other graphs would spin beside those that compute.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        chosen: list[Any] = [self.provider, provider_named(CPU)]
+        of_provider: dict[str, Any] = {CAPTURING[self._short]: "1"} if captured else {}
         if self._short == "tensorrt":
-            engines = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
-            chosen[0] = (self.provider, engines)
+            of_provider |= {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
+        chosen: list[Any] = [(self.provider, of_provider)]
+        if self.provider != provider_named(CPU):
+            chosen.append(provider_named(CPU))
         devices = plugin_devices(self.provider)
         if devices:
             options.add_provider_for_devices(devices[:1], {})
         try:
-            session = ort.InferenceSession(path, options, providers=None if devices else list(dict.fromkeys(chosen)))
+            session = ort.InferenceSession(path, options, providers=None if devices else chosen)
         except Exception as error:
             what = "export it again" if self._short == CPU else f"provider {self._short!r} fails: choose another"
             raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None
@@ -137,7 +193,7 @@ class Sessions:
         return session
 
 
-def _input(argument: Any, path: Path) -> Input:
+def _fixed_size(argument: Any, path: Path) -> Input:
     shape = [1 if place == 0 and not isinstance(size, int) else size for place, size in enumerate(argument.shape)]
     if not all(isinstance(size, int) for size in shape) or argument.type not in _NUMPY:
         raise FingerflowError(

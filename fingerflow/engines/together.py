@@ -15,6 +15,8 @@ from functools import partial
 from traceback import clear_frames
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
+from fingerflow.errors import is_out_of_memory
+
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
@@ -77,6 +79,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
     results: dict[int, T] = {}
     errors: dict[int, Exception] = {}
     waiting: dict[int, Call] = {}
+    most: dict[str, int] = {}  # recordings in a call of a method, where memory was too small for more
 
     def go_on(place: int, resume: Callable[[], Call]) -> None:
         try:
@@ -93,7 +96,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
         for place, steps in enumerate(many):
             go_on(place, partial(next, steps))
         while waiting:
-            for place, answer, error in _compute_group(_next_group(waiting)):
+            for place, answer, error in _compute_group(_next_group(waiting), most):
                 steps = many[place]
                 go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
                 del answer, error  # frees their memory before the next recording continues
@@ -122,18 +125,35 @@ def _batch_key(call: Call) -> object:
     return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 
-def _compute_group(group: dict[int, Call]) -> Iterator[tuple[int, Any, Exception | None]]:
-    """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each."""
+def _compute_group(group: dict[int, Call], most: dict[str, int]) -> Iterator[tuple[int, Any, Exception | None]]:
+    """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each.
+
+    A batch for which memory is too small is halved, and so are those of this method that follow (`most`).
+    """
     first = next(iter(group.values())).method
-    engine = first.__self__  # type: ignore[attr-defined]
+    name, engine = first.__name__, first.__self__  # type: ignore[attr-defined]
+    size = most.get(name, len(group))
+    if len(group) > max(1, size):
+        places = list(group)
+        for start in range(0, len(places), size):
+            yield from _compute_group({place: group[place] for place in places[start : start + size]}, most)
+        return
     if len(group) > 1 and isinstance(engine, BatchingEngine):
         try:
-            results = engine.joined(first.__name__, [call.arguments for call in group.values()])
+            results = engine.joined(name, [call.arguments for call in group.values()])
         except Exception as error:  # calling one by one shows to which recording it belongs
             # Log its text: a kept log record would keep the memory of the error itself.
-            log.warning("%s of %d recordings is made one by one: %s", first.__name__, len(group), repr(error))
+            if is_out_of_memory(error):
+                most[name] = len(group) // 2
+                how = f"needs too much memory and is from now on made of {most[name]} at a time"
+            else:
+                how = "is made one by one"
+            log.warning("%s of %d recordings %s: %s", name, len(group), how, repr(error))
         else:
             yield from ((place, result, None) for place, result in zip(group, results, strict=True))
+            return
+        if most.get(name, len(group)) < len(group):
+            yield from _compute_group(group, most)
             return
     # Outside the handler, because the error keeps the memory of the failed call.
     for place, call in group.items():

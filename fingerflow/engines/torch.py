@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,13 @@ from fingerflow.graphs import (
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import AgreementGraph
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX
+from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDS, WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.contact.cells import covered
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
+from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
 Modules = Callable[[Any], Any]  # returns the callable that replaces a module
@@ -188,8 +188,9 @@ class TorchEngine:
             GrossEllipse(*map(real, ellipse)),
             own,
         )
-        known = {name: None if one is None else _array(one) for name, one in found._asdict().items()}
-        return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
+        given = {name: one for name, one in found._asdict().items() if one is not None}
+        known: Any = {**dict.fromkeys(found._fields), **dict(zip(given, _arrays(given.values()), strict=True))}
+        return arrays.FrameFields(**known)
 
     def kind(self) -> object:
         """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
@@ -213,7 +214,7 @@ class TorchEngine:
     def _contact_of(self, many: _Many) -> list[arrays.FrameContact]:
         images, light, black = self._join_light([(images, light) for images, light, _ in many])
         limit = 1 - self._tensor(np.concatenate([threshold for *_, threshold in many]), torch.float32)
-        found = [_array(one) for one in self._contact(images, light, black, limit)]
+        found = _arrays(self._contact(images, light, black, limit))
         return [arrays.FrameContact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
 
     def _threshold_of(self, many: _Many) -> list[Array]:
@@ -252,6 +253,8 @@ class TorchEngine:
         counts, frames = [len(one) for one in places], [len(one) for one in images]
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
+        if kernels.fused_serves(templates.samples, *images):
+            return self._follow_fused(templates, images, places, speeds)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
         courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
@@ -259,7 +262,11 @@ class TorchEngine:
             image = _concatenate_frames([one[min(k, len(one) - 1)][None] for one in images])
             guess = self._tensor(courses[k].expect().reshape(*size, 2))
             look = partial(self._look, image)
-            found = [_array(one) for one in in_rounds(look, templates, guess, ROUNDS)]
+            first = look(templates, guess)
+            found = _arrays(first)
+            # Decided on the host, which waits for the first round anyway.
+            if (arrays.FoundPoints(*found).status == TrackStatus.NOT_CONVERGED).any():
+                found = _arrays(further_rounds(look, templates, first, ROUNDS - 1))
             courses.append(courses[k].see(arrays.FoundPoints(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
             every.append(found)
         joined = [np.stack(one) for one in zip(*every, strict=True)]  # (K, B, N, ...)
@@ -269,6 +276,26 @@ class TorchEngine:
             after = (one.reshape(*size, 2)[place, :count] for one in courses[last][:2])
             results.append(arrays.Followed(own, *after))
         return results
+
+    def _follow_fused(
+        self, templates: Templates, images: Sequence[Tensor], places: Sequence[Array], speeds: Sequence[Array]
+    ) -> list[arrays.Followed]:
+        """Follow the templates of several recordings through all of their frames in one launch."""
+        from fingerflow.kernels.tensors.fused_tracking import find_templates  # needs Triton
+
+        views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b at k B + b
+        lengths = self._tensor(np.array([len(one) for one in images], np.int32))
+        limits = rounding_variance(views), self.settings.forward_backward_limit_px, MISMATCH_SHARE
+        near = self._tensor(stacked(places)), self._tensor(stacked(speeds))
+        *found, place, speed = _arrays(find_templates(templates, views, *near, None, ROUNDS, *limits, lengths))
+        return [
+            arrays.Followed(
+                arrays.FoundPoints(*(one[: len(frames), b, : len(own)] for one in found)),
+                place[b, : len(own)],
+                speed[b, : len(own)],
+            )
+            for b, (frames, own) in enumerate(zip(images, places, strict=True))
+        ]
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
         """Return the templates of B recordings, all or those with indices `rows`, padded and stacked."""
@@ -292,7 +319,8 @@ class TorchEngine:
         own, found = self._join_found(founds)
         known = [self._repeat_for_frames(one, own) for one in (starts, numbers, inverses)]
         corrected, *others = self._deformation(known[0], Found(*map(self._tensor, found)), *known[1:])
-        every = [*map(_array, corrected)], [*map(_array, others)]
+        copied = _arrays((*corrected, *others))
+        every = copied[: len(corrected)], copied[len(corrected) :]
         return [
             arrays.Corrected(
                 arrays.FoundPoints(*(one[k, :count] for one in every[0])), *(one[k, :count] for one in every[1])
@@ -319,7 +347,7 @@ class TorchEngine:
             near = Neighbours(*(torch.cat(one)[own] for one in zip(*filled_up, strict=True)))
         deviation = self._tensor(np.sqrt(found.variance))
         judged = self._agreement(near, self._repeat_for_frames(starts, own), self._tensor(found.points), deviation)
-        off, uncertain = map(_array, judged)
+        off, uncertain = _arrays(judged)
         return [
             (off[k, :count], uncertain[k, :count])
             for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
@@ -368,7 +396,23 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
         frames = frames.astype(np.float32)
     elif not frames.flags.writeable:
         frames = np.asarray(_DeclaredWritable(frames))
-    return torch.from_numpy(frames)[:, None].to(device)
+    images = torch.from_numpy(frames)[:, None]
+    return _upload(images, device) if device.type == "cuda" else images.to(device)
+
+
+def _upload(images: Tensor, device: torch.device) -> Tensor:
+    """Copy images to a GPU while it computes: from pinned memory, on a stream of its own."""
+    ahead, current = _upload_stream(device), torch.cuda.current_stream(device)
+    with torch.cuda.stream(ahead):
+        there = images.pin_memory().to(device, non_blocking=True)
+    current.wait_stream(ahead)
+    there.record_stream(current)  # its memory is not given away before `current` has read it
+    return there
+
+
+@cache
+def _upload_stream(device: torch.device) -> torch.cuda.Stream:
+    return torch.cuda.Stream(device)
 
 
 class _DeclaredWritable:
@@ -402,5 +446,13 @@ def _batch_key(argument: Any) -> object:
 
 
 def _array(tensor: Tensor) -> Array:
-    result: Array = tensor.detach().cpu().numpy()
-    return result
+    return _arrays([tensor])[0]
+
+
+def _arrays(tensors: Iterable[Tensor]) -> list[Array]:
+    """Copy tensors to the host, with one wait for all of them."""
+    given = [tensor.detach() for tensor in tensors]
+    copies = [one.to("cpu", non_blocking=one.is_cuda) for one in given]
+    if any(one.is_cuda for one in given):
+        torch.cuda.current_stream().synchronize()
+    return [one.numpy() for one in copies]

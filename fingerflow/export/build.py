@@ -22,11 +22,12 @@ from fingerflow.graphs import (
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.search_graph import SearchGraph
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.fields.plane_fit import Support, about_their_mean, support_of
+from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import gradients_at
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.tracking.deformation import Supports, supports_of
 from fingerflow.ops.tracking.outliers import Neighbours
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
@@ -46,6 +47,7 @@ OF_FEW: dict[str, tuple[str, ...]] = {
 _LIGHT = ("light", "black")
 _ELLIPSE = GrossEllipse._fields
 _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
+_SUPPORTS = ("support_weights", "support_within", "inner_weights", "inner_within")
 _CORRECTED = ("points", "covariance", "warp", "shift", "expected")
 
 #: Unit of every input and output: px of the views, counts of the camera, mm on the glass.
@@ -57,7 +59,7 @@ UNITS = {
     **dict.fromkeys(("real_area_px", "gross_area_px", "covariance", "found_covariance"), "px^2"),
     **dict.fromkeys((*_FIELDS, "gradient", "threshold", "illumination_gain", "density_margin"), "1"),
     **dict.fromkeys(("mask", "real_contact_mask", "status", "warp", "inverse_warp", "returns", "among"), "1"),
-    **dict.fromkeys(("neighbour_number", "neighbour_within", "support_weights", "support_within"), "1"),
+    **dict.fromkeys(("neighbour_number", "neighbour_within", *_SUPPORTS), "1"),
     **dict.fromkeys(("off_neighbours", "uncertain"), "1"),
     **dict.fromkeys(("reference", "displacement", "queries", "gauge_length"), "mm"),
     **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), "mm"),
@@ -156,13 +158,14 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
         return tuple(track(Templates(*given[:3]), *given[3:]))
 
     def support(start: Tensor) -> tuple[Tensor, ...]:
-        places, _ = about_their_mean(start, WARP_GAUGE_PX / 2)
-        return tuple(support_of(places, places))
+        outer, inner = supports_of(start, WARP_GAUGE_PX)
+        return *outer, *inner
 
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
         found = Found(points, points[..., 0], covariance, points[..., 0], points)  # error, status, estimate: unused
-        numbers, inverse_warp, *of_support = known
-        corrected, *others = deformation(start, found, numbers, inverse_warp, Support(*of_support))
+        numbers, inverse_warp, *of = known
+        supports = Supports(Support(*of[:2]), Support(*of[2:]))
+        corrected, *others = deformation(start, found, numbers, inverse_warp, supports)
         return corrected.points, corrected.covariance, *others
 
     def outliers(number: Tensor, offset: Tensor, within: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
@@ -182,13 +185,10 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
         "renew": (renew, ("spline", "noise", "points", "warp"), _TEMPLATES),
         "track": followed,
         "track_few": followed,
-        "support": (support, ("start",), ("support_weights", "support_within")),
+        "support": (support, ("start",), _SUPPORTS),
         "correct": (
             correct,
-            (
-                *("start", "found", "found_covariance", "template_numbers", "inverse_warp"),
-                *("support_weights", "support_within"),
-            ),
+            ("start", "found", "found_covariance", "template_numbers", "inverse_warp", *_SUPPORTS),
             _CORRECTED,
         ),
         "outliers": (

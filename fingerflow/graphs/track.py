@@ -5,9 +5,7 @@ from typing import ClassVar, NamedTuple
 from torch import Tensor, nn
 
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.fields.plane_fit import Support
-from fingerflow.ops.fields.point_gradients import neighbours_support
-from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.deformation import Supports, correct_points
 from fingerflow.ops.tracking.outliers import Neighbours, Outliers, find_outliers
 from fingerflow.ops.tracking.templates import Found, Templates, find_templates
 
@@ -40,24 +38,17 @@ class DeformationGraph(nn.Module):
         super().__init__()
         self.window = window
 
-    def support(self, start: Tensor) -> Support | None:
-        """Return the weights (`Support`) of local fits around points at key-frame positions (B, N, 2) px.
-
-        None where compiled kernels run, which do not need them.
-        """
-        return neighbours_support(start, WARP_GAUGE_PX)
-
     def forward(
-        self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
+        self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, supports: Supports | None = None
     ) -> Deformed:
         """Correct the positions of points found in K frames for the measured deformation of the skin.
 
         `start` (1, N, 2) px are the positions of the points in the key frame. `numbers` (1, N, 32) are the template
         statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1 with which the templates were prepared.
-        `support` is computed from `start` where it is None.
+        `supports` are computed from `start` where they are None.
         """
         given = start, found.points, found.covariance, numbers, inverse_warp
-        corrected = correct_points(*given, self.window, WARP_GAUGE_PX, support or self.support(start))
+        corrected = correct_points(*given, self.window, WARP_GAUGE_PX, supports)
         points, covariance, *others = corrected
         return Deformed(found._replace(points=points, covariance=covariance), *others)
 

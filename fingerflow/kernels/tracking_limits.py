@@ -22,6 +22,7 @@ class TrackStatus(IntEnum):
     FRAME_NOT_USABLE = 9  # the frame is not usable (`pipeline.stages.preparation.frame_check`)
     WINDOW_DIFFERS = 10  # its window is no longer the one that was seeded (`tracker.subset_verification`)
     NOT_SEEDED_YET = 11  # seeded in a later frame, as skin came into contact there (`pipeline.stages.tracking`)
+    DUST_IN_WINDOW = 12  # held back by something in its window that rests on the glass (`tracker.subset_verification`)
 
 
 class Number(IntEnum):
@@ -76,6 +77,9 @@ SEARCH_TIE = 1e-4
 SPEED_FRAMES, SPEED_WEIGHT = 4.0, 0.5
 # px over which the deformation of a template is assumed to be uniform.
 WARP_GAUGE_PX = 120.0
+# Share of that gauge over which the gradient is fitted again, to extrapolate it to a gauge of 0. At 1/2, positions are
+# as noisy as by the whole gauge alone; beside a slip border their error is 0.6 of it.
+INNER_GAUGE = 0.5
 # px by which a deformation may shift the edge of a window before its template is updated. Bias and residual due to the
 # deformation are corrected, so that 0.2 px would give equally exact positions on a press, with half of the templates.
 # But rounding decides which templates exceed the limit, and two engines would differ by up to 0.009 px instead of 3e-5.

@@ -284,22 +284,22 @@ def _go_over_frames(
     batches = [order[first : first + size] for first in range(0, len(order), size)]
     *early, last = stages
 
-    def begin(indices: np.ndarray) -> Steps[Batch]:
-        """Read one batch of frames and run all stages but the last one on this batch.
-
-        The last stage may still process the batch before.
-        """
+    def read(indices: np.ndarray) -> Batch:
         batch = Batch(indices)
         if pictures:
             with _timed(seconds, "decoding"):
                 batch.frames = read_frames(trial.inputs.recording[indices])
+        return batch
+
+    def begin(batch: Batch) -> Steps[Batch]:
+        """Run all stages but the last one on a batch; the last one may still process the batch before."""
         for stage in early:
             yield from _step(stage, batch, seconds)
         return batch
 
     def begin_alone(indices: np.ndarray) -> Batch:
         with torch.inference_mode():  # of this thread
-            return run_alone(begin(indices))
+            return run_alone(begin(read(indices)))
 
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not way.progress)
     with bar:
@@ -311,11 +311,18 @@ def _go_over_frames(
                     bar.update(len(batch.indices))
                     del batch  # before the batch after the next one is read
         else:
-            for indices in batches:
-                batch = yield from begin(indices)
-                yield from _step(last, batch, seconds)
-                bar.update(len(indices))
-                del batch
+            ahead = pictures and _decodes_ahead(trial.inputs)
+            with closing(_compute_ahead(read, batches) if ahead else (read(one) for one in batches)) as every:
+                for batch in every:
+                    yield from begin(batch)
+                    yield from _step(last, batch, seconds)
+                    bar.update(len(batch.indices))
+                    del batch
+
+
+def _decodes_ahead(inputs: Inputs) -> bool:
+    """Return whether a second thread decodes the next batch: beside a GPU the host is free to do so."""
+    return inputs.device.type != "cpu"
 
 
 def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> Steps[None]:

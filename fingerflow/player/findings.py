@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.stream_frame_quality import USABLE
+
+_WIDE_MM2 = 8.0  # twice a usual gauge length across: a smaller contact has no median
 
 
 class Findings:
@@ -20,6 +23,7 @@ class Findings:
         self._usable = 0
         self._last = USABLE
         self._points = self._contact = False
+        self._wide = self._unknown = 0
 
     def skip(self, status: int) -> bool:
         """Count an unusable frame; return whether the frame status has changed since the previous frame."""
@@ -27,12 +31,15 @@ class Findings:
         begins, self._last = status != self._last, status
         return begins
 
-    def count(self, tracked: int, area: float) -> None:
-        """Count a usable frame, and record whether any tracked points and any contact area were found in it."""
+    def count(self, tracked: int, area: float, gross_area: float, median: float) -> None:
+        """Count a usable frame: number of tracked points, real and gross area in mm^2, and median divergence."""
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
         self._contact |= area > 0
+        if gross_area > _WIDE_MM2:
+            self._wide += 1
+            self._unknown += math.isnan(median)
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream."""
@@ -51,5 +58,11 @@ class Findings:
         elif not self._contact:
             said.append(
                 "no frame showed a contact: if there was one, check [background], [views.contact] and contact.threshold"
+            )
+        if self._unknown:
+            said.append(
+                f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
+                f"{_WIDE_MM2:g} mm2: points are known in too little of it. Seed them where the finger touches "
+                f"([stream] region), or export a bundle with more tracking.points; status says why points are lost"
             )
         return said

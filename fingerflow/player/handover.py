@@ -135,12 +135,17 @@ class InOrder(Generic[T]):
 
 
 class Slot(Frame):
-    """Frame buffer: holds both views (1, 1, H, W), the number and the arrival time of a frame."""
+    """Frame buffer: holds both views (1, 1, H, W), the number and the times of a frame.
+
+    Attributes:
+        arrival: when the camera took the frame, for latencies: s on the axis of `time.perf_counter`.
+        time: the same for intervals between frames, as `CameraClock.see` returns both.
+    """
 
     def __init__(self, bundle: Bundle) -> None:
         shape = (1, 1, bundle.height, bundle.width)
         super().__init__({name: np.zeros(shape, bundle.dtype) for name in (CONTACT_VIEW, TOPOGRAPHY_VIEW)})
-        self.arrival = 0.0
+        self.arrival = self.time = 0.0
 
     def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
         """Copy the views of a frame into the buffer; raise PlayerError if the frame has another size or bit depth."""

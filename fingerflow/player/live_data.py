@@ -7,7 +7,7 @@ import math
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,26 +22,14 @@ _TRACE_LENGTH = 900  # 30 s, as the page shows, with a point every 1 / 30 s
 _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
 _TRACED = ("real_contact_area", "gross_contact_area", "median_divergence")
 _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_semi_axes")
-#: Variables that the page shows, with label, unit, factor and decimals.
-_SHOWN = {
+#: Variables that the page shows, with label, unit, factor and decimals; it asks for them once.
+SHOWN = {
     name: VARIABLES[name].shown()
     for name in (*_TRACED, "divergence", "contact_threshold", "ellipse_semi_axes", "normal_force", "tangential_force",
                  "slip_flag")
 }  # fmt: skip
 
 Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a frame and the number of the restart
-
-
-class LiveForces(NamedTuple):
-    """Measured forces of a recording by name, in N for each frame from number ``first`` on."""
-
-    first: int
-    values: Mapping[str, Array]
-
-    def at(self, number: int) -> dict[str, float]:
-        """Return the forces in a frame by name; NaN for frames outside the recorded range."""
-        place = number - self.first
-        return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
 
 
 class LiveViews(NamedTuple):
@@ -57,20 +45,20 @@ class LiveData:
     Args:
         bundle: the bundle that is played.
         expected: returns the true values of a frame by name, where they are known.
-        forces: recorded with the frames, where they are known.
+        forces: names of the forces in the records.
     """
 
-    def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: LiveForces | None = None) -> None:
+    def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: Sequence[str] = ()) -> None:
         self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
         self._shift = bundle.bit_depth - 8
         self._expect = expected
-        self._forces = forces or LiveForces(0, {})
+        self._forces = list(forces)
+        self._traced = ["time", *_TRACED, *forces]
         self._asked = self._drawn = -math.inf
         self._arrays: dict[str, Array] = {}
         self._scalars: dict[str, float] = {}
         self._expected: Mapping[str, float] = {}
-        self._columns = ["time", *_TRACED, *self._forces.values]
-        self._columns += [f"expected_{name}" for name in _TRACED] if expected else []
+        self._columns = [*self._traced, *(f"expected_{name}" for name in _TRACED if expected)]
         self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
 
     def is_watched(self) -> bool:
@@ -99,15 +87,13 @@ class LiveData:
         names = record.dtype.names or ()
         arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
-        self._scalars |= self._forces.at(int(record["frame"]))
         self._expected = self._expected_in(record)
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
         """Append the results of a frame to the time traces; full traces drop the oldest entry."""
         names, expected = record.dtype.names or (), self._expected_in(record)
-        row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
-        row += self._forces.at(int(record["frame"])).values()
+        row = [float(record[name]) if name in names else math.nan for name in self._traced]
         self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
 
     def _expected_in(self, record: Array) -> Mapping[str, float]:
@@ -122,11 +108,10 @@ class LiveData:
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
         arrays = self._arrays | {"traces": traces}
         said = {
-            "shown": _SHOWN,
             "every": self._every,
             "scalars": {name: value if math.isfinite(value) else None for name, value in self._scalars.items()},
             "expected": dict(self._expected),
-            "forces": list(self._forces.values),
+            "forces": self._forces,
             "trace_columns": self._columns,
             "arrays": [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()],
         }

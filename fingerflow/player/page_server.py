@@ -1,4 +1,4 @@
-"""HTTP server of the live page: three static files, the live data, and a request to reseed the points.
+"""HTTP server of the live page: three static files, the variables shown, the live data, and a request to reseed.
 
 The page is served to this computer and to those that its address is bound for. Requests without the token of the
 printed address, for another host name, from pages of other sites, or with a body are refused. The number of clients
@@ -8,6 +8,7 @@ and the duration of a request are limited.
 from __future__ import annotations
 
 import errno
+import json
 import logging
 import socket
 import sys
@@ -20,7 +21,7 @@ from types import MappingProxyType
 from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
-from fingerflow.player.live_data import LiveData
+from fingerflow.player.live_data import SHOWN, LiveData
 from fingerflow.player.page_token import PageToken, redirect
 
 log = logging.getLogger("fingerflow.player")
@@ -59,6 +60,7 @@ def serve_page(
     Raises PlayerError where the address is in use.
     """
     folder = Path(__file__).with_name("page")
+    shown = json.dumps(SHOWN).encode()
     files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
 
     class Handler(_Handler):
@@ -67,6 +69,8 @@ def serve_page(
                 if self.path in files:
                     body, kind = files[self.path]
                     self.answer(200, kind, body)
+                elif self.path == "/shown":
+                    self.answer(200, "application/json", shown)
                 elif self.path == "/live":
                     self.answer(200, "application/octet-stream", live.packed(facts()))
                 else:

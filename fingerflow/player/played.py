@@ -75,11 +75,13 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         for file in (scene.background, scene.dark)
     )
     if options.camera:
-        return StreamInput(scene, options.camera, lambda _: open_camera(options.camera), glass, dark)
+        camera = options.camera
+        name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")
+        return StreamInput(scene, name, lambda _: open_camera(camera), glass, dark)
     file = Path(options.source) if options.source else scene.frames
     if file is None:
         raise PlayerError(
-            "no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY, or state recording.frames "
+            "no source: give --source synthetic, --source FILE or --camera ADDRESS, or state recording.frames "
             f"in {path}"
         )
     first, frames, forces_in = 0, None, None

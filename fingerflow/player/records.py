@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from fingerflow.schema.variables import (
     FIELDS,
     FRAME,
     FRAME_CHECK,
+    LOADING,
     STREAM,
     TIME,
     TRACK_STATUS,
@@ -22,7 +23,7 @@ from fingerflow.schema.variables import (
 )
 from fingerflow.tracker.frame_results import RESULTS
 
-_VARIABLES = by_name((TIME,), FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
+_VARIABLES = by_name((TIME,), FRAME_CHECK, LOADING, CONTACT, TRACKING, FIELDS, STREAM)
 _FRAME_NUMBER = Variable(
     "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
 )
@@ -47,15 +48,16 @@ class RecordLayout:
 
     Args:
         points: number N of points in each frame.
+        forces: names of the forces that are known.
 
     Attributes:
         dtype: of a record.
         fields: entries of the header, one a field.
     """
 
-    def __init__(self, points: int) -> None:
+    def __init__(self, points: int, forces: Sequence[str] = ()) -> None:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
-        self.fields = [_entry(one, one.kind, ()) for one in _OWN]
+        self.fields = [_entry(one, one.kind, ()) for one in (*_OWN, *(_VARIABLES[name] for name in forces))]
         for variable in (_VARIABLES[name] for name in RESULTS):
             # The tracker computes in single precision.
             kind = "f4" if variable.kind.startswith("f") else variable.kind

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +16,18 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
+from fingerflow.player.camera_clock import EPOCH, CameraClock
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
-from fingerflow.player.live_data import LiveData, LiveForces, LiveViews
+from fingerflow.player.live_data import LiveData, LiveViews
+from fingerflow.player.live_forces import FrameForces
+from fingerflow.player.live_values import LiveValues
+from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
+from fingerflow.player.sending import Destination, Message, Sender
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
@@ -36,6 +41,7 @@ _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it abandons it
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
+_BEHIND = 0.1  # s, the longest latency with which results count as keeping up
 _SENTENCES = {  # for the log, by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
@@ -83,7 +89,9 @@ class Player:
         sink: Sink,
         layout: RecordLayout,
         settings: Settings,
-        forces: LiveForces | None = None,
+        forces: FrameForces | None = None,
+        values: LiveValues | None = None,
+        destinations: Sequence[Destination] = (),
     ) -> None:
         self.bundle, self.scene, self.settings = bundle, played.scene, settings
         self.computed_by, self.source_name = computed_by, played.name
@@ -104,8 +112,14 @@ class Player:
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
-        self.live = LiveData(bundle, played.expected, forces)
+        self._forces, self._values = forces, values or LiveValues(layout)
+        can_wait = settings.every and settings.rate is None and not source.live
+        self._can_wait = can_wait  # for results, as a file does that is played as fast as possible
+        self._senders = [Sender(one, can_wait, self._record_trigger) for one in destinations]
+        self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # for the page
+        self._behind = ""  # how results fall behind the camera, for the page
+        self._clock = CameraClock()
         self._stop = threading.Event()
         self._finished = threading.Event()
         self._failure: BaseException | None = None
@@ -148,13 +162,16 @@ class Player:
                 thread.join()
         finally:
             self._seconds = time.perf_counter() - self._started
+            self._close_senders()
             if threads[0].ident is None:
                 close_within(_HANGING, self._source)
             try:
                 self._sink.close()
             except FingerflowError as error:
                 self._failure = self._failure or error
-            if not self.processed:
+            if self.processed:
+                self._sink.write_summary(self.summary())
+            else:
                 self._sink.discard()
             if page:
                 failure = self._failure or sys.exc_info()[1]
@@ -170,6 +187,8 @@ class Player:
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""
         self._stop.set()
+        for sender in self._senders:
+            sender.stop_waiting()
 
     def summary(self) -> dict[str, Any]:
         """Return the frame counts, duration in s, frame rate and latencies of the stream so far."""
@@ -187,8 +206,13 @@ class Player:
             "seconds": round(seconds, 3),
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
+            "first_frame": None if math.isnan(self._first) else EPOCH + self._first,
+            "time_stamps": "camera" if self._clock.has_stamps else "arrival",
+            "outputs": [one.facts() for one in self._senders],
             "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
+            "engine": self.computed_by,
+            "policy": "every" if self.settings.every else "latest",
         }
 
     def _said_by_page(self) -> dict[str, Any]:
@@ -201,6 +225,7 @@ class Player:
             "said": self._said,
             "fields": list(self._fields),
             "source": self.source_name,
+            "behind": self._behind,
             "rate": None if math.isnan(self.rate) else self.rate,
             "recent_ms": self.recent,
             "tracked": self.tracked,
@@ -220,10 +245,22 @@ class Player:
             for close in after:
                 close()
 
+    def _close_senders(self) -> None:
+        """Close all outputs and the force sensor, and log what was sent."""
+        for sender in self._senders:
+            sender.close()
+        if self._forces is not None:
+            self._forces.close()
+        for sender in self._senders:
+            (log.warning if sender.lost else log.info)("%s", sender.said())
+
+    def _record_trigger(self, frame: int, condition: str, latency: float) -> None:
+        self._sink.event("trigger", frame, condition=condition, latency_ms=round(1e3 * latency, 3))
+
     # Main thread: writes the log and monitors the source.
 
     def _watch(self) -> None:
-        said, processed, stalled = time.perf_counter(), 0, False
+        said, processed, stalled, lost = time.perf_counter(), 0, False, 0
         while not self._finished.wait(0.05) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
@@ -244,8 +281,21 @@ class Player:
                 recent, self._recent = self._recent, Latencies()
                 self.recent = recent.summary()
                 self.rate = (self.processed - processed) / (now - said)
+                before, lost = lost, self.dropped + self.overruns + sum(one.lost for one in self._senders)
+                self._behind = self._falls_behind(lost > before, self.processed == processed)
                 said, processed = now, self.processed
                 log.info("%s", self._line(self.recent))
+
+    def _falls_behind(self, loses: bool, silent: bool) -> str:
+        """Return in a few words how the results of the last second fall behind the camera; "" if they keep up."""
+        if self._can_wait:
+            return ""
+        median = self.recent["median"]
+        if median is not None and median > 1e3 * _BEHIND:
+            return f"{median / 1e3:.1f} s behind"
+        if silent and self.frames_in > self.processed + self.dropped:
+            return "no result for 1 s"
+        return "frames or messages are lost" if loses else ""
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
@@ -275,13 +325,14 @@ class Player:
                 if frame is None:
                     break
                 arrival = time.perf_counter()
+                exposed, arrival = self._clock.see(source.stamp, arrival)
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
                     # A camera at that rate would deliver the frame at this time: any delay after it counts as latency.
-                    arrival = start + self.frames_in / self.settings.rate
+                    exposed = arrival = start + self.frames_in / self.settings.rate
                     if (wait := arrival - time.perf_counter()) > 0:
                         time.sleep(wait) if wait < 0.1 else self._stop.wait(wait)
-                self._take(frame, arrival, source.live or self.settings.rate is not None)
+                self._take(frame, (exposed, arrival), source.live or self.settings.rate is not None)
         finally:
             self._waiting_since = None
             if source is not None:
@@ -292,20 +343,22 @@ class Player:
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
+        self._clock = CameraClock()  # a camera may count from 0 again
         log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
         self._sink.event("reconnect", self._first_number + self.frames_in, error=self._last_trouble)
         if source is not None:
             close_within(_HANGING, source)
         self._stop.wait(delay)
 
-    def _take(self, frame: Array, arrival: float, cannot_wait: bool) -> None:
+    def _take(self, frame: Array, times: tuple[float, float], cannot_wait: bool) -> None:
         slot = self._free.get(wait=False)
         if slot is None:
             self.overruns += cannot_wait
             slot = self._free.get()
         if slot is None:  # the stream has failed
             return
-        slot.number, slot.arrival = self._first_number + self.frames_in, arrival
+        slot.number = self._first_number + self.frames_in
+        slot.time, slot.arrival = times
         slot.fill(frame, self.scene, self.bundle, self.source_name)
         self._tracker.inspect(slot)
         self.frames_in += 1
@@ -339,7 +392,7 @@ class Player:
             if slot is None:
                 return None
             if math.isnan(self._first):
-                self._first = slot.arrival
+                self._first = slot.time
             if self._tracker.must_wait(slot) and not self._order.wait_for_all():
                 return None
             work, passed = self._tracker.begin(slot)
@@ -387,14 +440,24 @@ class Player:
             fields["slip_flag"][place] = self._tracker.slipping
         else:
             self._layout.fill(fields, place, results)
-            self._findings.count(outcome.tracked, results["real_contact_area"])
+            named = ("real_contact_area", "gross_contact_area", "median_divergence")
+            self._findings.count(outcome.tracked, *(float(results[name]) for name in named))
+        if self._forces is not None:
+            for name, force in self._forces.at(slot.number, slot.arrival).items():
+                fields[name][place] = force
         latency = time.perf_counter() - slot.arrival
         for name, value in (
-            *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
+            *(("frame", slot.number), ("time", slot.time - self._first), ("latency", latency)),
             *(("key_frame", outcome.key_frame), ("restart", outcome.restart), ("frame_status", outcome.status)),
             ("contact_threshold", outcome.threshold),
         ):
             fields[name][place] = value
+        if self._senders:
+            record = self._room[place].copy()
+            stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
+            message = Message(stamp, self._values.of(record))
+            for sender in self._senders:
+                sender.offer(message)
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1

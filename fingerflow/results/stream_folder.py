@@ -6,6 +6,7 @@ import contextlib
 import errno
 import itertools
 import json
+import logging
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,7 @@ from fingerflow.schema.variables import FRAME, shown_unit
 
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
+log = logging.getLogger("fingerflow.results")
 _AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the process is killed
 
 
@@ -128,6 +130,16 @@ class Sink:
         except PlayerError:
             self.discard()
             raise
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write summary.json: counts and latencies of the stream. A full disk is logged: results are safe."""
+        part = unfinished(self.folder / "summary.json")
+        try:
+            part.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            finish(part, self.folder / "summary.json")
+        except OSError as error:
+            remove(part)
+            log.warning("%s: summary.json cannot be written (%s)", self.folder, error.strerror)
 
     def discard(self) -> None:
         """Delete the results folder created by `open`, if a stream received no frame."""

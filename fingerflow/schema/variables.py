@@ -48,12 +48,16 @@ _STRAIN_EQUATION = (
 _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
 
-def _gross_area_std(semi_axes: Any) -> Any:
+def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     """Return the standard deviation, mm^2, of the gross areas of ellipses with semi-axes (frames, 2) mm.
 
+    Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one.
     The constants are measured on presses through real prints (docs/methods/contact.md).
     """
-    return ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2) ** 0.5
+    small = 0.2**2 / (1 + (pi * semi_axes.prod(-1)) ** 4)
+    deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small) ** 0.5
+    deviation[(deviation != deviation) & (real_area > 0)] = 0.25
+    return deviation
 
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
@@ -114,9 +118,10 @@ CONTACT = (
     ),
     Variable(
         "gross_contact_area_std", FRAME, "mm2", "standard deviation of the gross contact area, by the ridge spacing",
-        equation="σ² = (b p)² + c², p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, b = 0.015 mm of the border as "
-        "a whole, c = 0.15 mm², about the square of a ridge spacing",
-        formula=_gross_area_std, of=("ellipse_semi_axes",),
+        equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, "
+        "b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.2 mm² of "
+        "contacts of less than three ridges; 0.25 mm² where a real contact is too small for an ellipse",
+        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area",
     ),
     Variable(
@@ -173,6 +178,7 @@ TRACK_STATUS = (
     "frame_not_usable",
     "window_differs",
     "not_seeded_yet",
+    "dust_in_window",
 )
 TRACKING = (
     Variable(
@@ -187,7 +193,8 @@ TRACKING = (
     Variable(
         "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
-        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame",
+        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
+        "window in which dust stands out matches",
         label="standard deviation of the position",
     ),
     Variable(

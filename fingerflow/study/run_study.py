@@ -1,10 +1,12 @@
 """Select the trials of a study that must run, and run them on Dask."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
+from fingerflow.engines.memory import recordings_that_fit
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, keys_of
 from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
@@ -91,7 +93,7 @@ def run_study(
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
         together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), which
-            benefits an accelerator; by default 8 if this computer has one, else 1.
+            benefits an accelerator; by default 8 if this computer has one, or as many as its memory holds, else 1.
 
     Raises FingerflowError if the cluster is not available.
     """
@@ -100,7 +102,7 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    together = _default_group_size(scheduler) if together is None else together
+    together = _default_group_size(manifest, scheduler) if together is None else together
     if together > 1 and scheduler is None:
         workers = workers or 1
     try:
@@ -147,11 +149,19 @@ def _run_groups(
         yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
 
 
-def _default_group_size(scheduler: str | None) -> int:
-    """Return the default number of trials per group: several on a GPU of this computer, else 1."""
+def _default_group_size(manifest: Manifest, scheduler: str | None) -> int:
+    """Return the default number of trials per group: several on a GPU of this computer, else 1.
+
+    They are as many as its memory holds of trials like the first one, at most `_TOGETHER`.
+    """
     import torch
 
-    return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
+    if scheduler is not None or not torch.cuda.is_available():
+        return 1
+    scene = manifest.scene_of(manifest.trials[0])
+    height, width = max((view.shape for view in scene.views.values()), key=math.prod)
+    free, _ = torch.cuda.mem_get_info()
+    return min(_TOGETHER, recordings_that_fit(free, height, width, scene.tracking.points, scene.tracking.window_px))
 
 
 def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:

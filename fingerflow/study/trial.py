@@ -19,7 +19,7 @@ import torch
 
 from fingerflow import __version__
 from fingerflow.engines.together import Steps
-from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
 from fingerflow.pipeline.run import run_steps, steps_to
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
@@ -134,9 +134,7 @@ def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
 def _is_transient(error: BaseException) -> bool:
     """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
     return any(
-        isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
-        or (isinstance(one, OSError) and one.errno in _PASSING)
-        or (isinstance(one, RuntimeError) and "allocate memory" in str(one))
+        is_out_of_memory(one) or isinstance(one, NoRoomError) or (isinstance(one, OSError) and one.errno in _PASSING)
         for one in _chain(error)
     )
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse
-from fingerflow.tracker.contact_border import Border
+from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
+from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.entry import Entries
-from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -27,8 +27,10 @@ RESULTS = (
         "illumination_gain",
     ),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "curl", "point_strain", "median_divergence", "entered", "slip_residual", "slip_flag"),
+    *("divergence", "curl", "point_strain", "median_divergence", "median_divergence_std", "entered"),
+    *("slip_residual", "slip_flag"),
 )
+_EVERY = 8  # frames between two evaluations of what gauge length and border do to the median
 
 
 class Seeding(NamedTuple):
@@ -102,6 +104,7 @@ class FrameResults:
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+        self._of_smoothing = math.nan  # variance of the median by gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
         """Convert positions (..., 2) in px of the topography view to mm on the glass."""
@@ -111,6 +114,27 @@ class FrameResults:
         for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
             result[..., axis] = by_x * x + by_y * y + shift
         return result
+
+    def _covariance(self, now: Array, touch: Touching) -> Array:
+        """Return the covariance (1, N, 2, 2) mm^2 of displacements since the onset, from that of positions, px^2."""
+        variance = touch.displacement_variance(now) * np.float32(self._per_px**2)
+        result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
+        return result
+
+    def _smoothing_variance(
+        self, place: Array, moved: Array, around: FrameEllipse, median: float, of_points: float
+    ) -> float:
+        """Return the variance of the median divergence by gauge length and border, as `MedianBias` of a recording.
+
+        In a space of half the size the gauge length counts twice.
+        """
+        half = around._replace(center=around.center / 2, semi_axes=around.semi_axes / 2)
+        smaller = around._replace(semi_axes=around.semi_axes - np.float32(BORDER_MM))
+        others = [
+            self._engine.fields(*given).median[0, 0]
+            for given in ((place / 2, moved / 2, half), (place, moved, smaller))
+        ]
+        return sum(max(float(other - median) ** 2 - of_points, 0.0) for other in others)
 
     def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
         """Compute divergence, curl and strain of the displacement since each point's onset of contact."""
@@ -126,11 +150,36 @@ class FrameResults:
             )
         moved = (position - touch.place).astype(np.float32)
         around = FrameEllipse(*(one.astype(np.float32) for one in ellipse))
-        fields = self._engine.fields(touch.place[0].astype(np.float32), moved, around, None, entered)
+        place = touch.place[0].astype(np.float32)
+        # The graphs of a bundle give no deviations, nor is that of advected points known.
+        covariance = None
+        if entered is None and self._engine.name != "onnx":
+            covariance = self._covariance(found.variance, touch)
+        fields = self._engine.fields(place, moved, around, covariance, entered)
+        deviation = math.nan
+        if fields.median_std is not None:
+            of_points = float(fields.median_std[0, 0]) ** 2
+            if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
+                self._of_smoothing = self._smoothing_variance(place, moved, around, fields.median[0, 0], of_points)
+            deviation = math.sqrt(of_points + self._of_smoothing + _rank_variance(fields))
         return {
             "divergence": fields.divergence[0],
             "curl": fields.curl[0],
             "point_strain": fields.strain[0],
             "median_divergence": fields.median[0, 0],
+            "median_divergence_std": deviation,
             "entered": among[0],
         }
+
+
+def _rank_variance(fields: FrameFields) -> float:
+    """Return the variance of the median divergence that skin with unknown fields causes, whose ranks are not known.
+
+    The median of all lies anywhere between the quantiles 1/2 +- (1 - share) / (2 share) of the known values.
+    """
+    share, known = float(fields.known_share[0]), np.sort(fields.divergence[0][np.isfinite(fields.divergence[0])])
+    if not 0 < share < 1 or not len(known):
+        return 0.0
+    reach = (1 - share) / (2 * share)
+    low, high = np.quantile(known, [max(0.5 - reach, 0), min(0.5 + reach, 1)])
+    return float(high - low) ** 2 / 12

@@ -19,7 +19,7 @@ from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, known_of
 from fingerflow.tracker.points import STREAM, Points
 from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
-from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
+from fingerflow.tracker.upkeep import CONTACT, REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
 
@@ -28,6 +28,10 @@ PAGE = "page"  # cause of a reseeding that the user has requested
 _REKEY_SHARE = 0.8
 # Frames after which the threshold is learnt from a frame: by then its contact has been computed beside the next frames.
 _LEARNT_AFTER = 2
+_LOOK_EVERY = 2  # frames between two counts of the points in contact
+_LEAST_MM2 = 1.0  # of a contact whose points are counted
+# Spacing of points in gauge lengths: the largest with which fits have neighbours, and that of seeded points.
+_SPARSE, _DENSE = 1 / 3, 1 / 4
 _EVERYTHING = 0.98  # share of the pixels: a threshold that this many exceed is rejected
 _PIXELS = 20_000  # read to estimate this share
 
@@ -141,7 +145,8 @@ class _KnownMotion(NamedTuple):
 class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
-    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided.
+    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
+    points are seeded in `region` (H, W), and replace others if more than `kept` of them lie in `counted` (H, W).
     """
 
     after: int
@@ -149,19 +154,32 @@ class _Change(NamedTuple):
     image: Array
     points: Array
     cause: str
+    region: Array
+    counted: Array
+    kept: int
 
 
-class _PendingThreshold(NamedTuple):
-    """Frame whose measured contact threshold has not been taken into account yet.
+class _Sparse(NamedTuple):
+    """Contact with too few tracked points: their number, the contact (H, W), and where others are to be seeded."""
 
-    Only a frame that `counts` may set the threshold. `newest` is the index of the latest frame when this was decided.
-    The number of the frame is stored, because a `Frame` with results is reused for another image.
+    points: int
+    contact: Array
+    region: Array
+
+
+class _PendingContact(NamedTuple):
+    """Frame whose contact has not been taken into account yet: its threshold, and how many points lie in it.
+
+    `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
+    `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
+    `Frame` with results is reused for another image.
     """
 
     newest: int
     number: int
     work: Work
-    counts: bool
+    found: FoundPoints | None
+    seeding: Seeding | None
 
 
 class StreamTracker:
@@ -193,6 +211,7 @@ class StreamTracker:
         self._knowledge = replace(STREAM, lag=lag)
         self._light = engine.light(glass, dark)
         self._glass, self._dark = glass, dark
+        self._to_contact = settings.topography_to_contact.astype(np.float32)
         self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
@@ -208,7 +227,8 @@ class StreamTracker:
         self._deferred: deque[Work] = deque()  # frames that later ones decide about
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
-        self._unlearnt: deque[_PendingThreshold] = deque()
+        self._sparse: _Sparse | None = None
+        self._unlearnt: deque[_PendingContact] = deque()
         self.found = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
@@ -291,7 +311,7 @@ class StreamTracker:
             else:
                 passed.append(self._judged(work, status, work.index))
         while self._unlearnt and self._unlearnt[0].newest <= work.index - _LEARNT_AFTER:
-            passed += self._learn_threshold(self._unlearnt.popleft())
+            passed += self._learn_contact(self._unlearnt.popleft())
         self._known[work.index] = self._latest
         self._known.pop(work.index - self.lag - LONGEST, None)
         self._finished += 1
@@ -359,7 +379,7 @@ class StreamTracker:
         events: list[Event] = []
         if not self.restarts and frame.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
-            events.append(self._restart(frame.number, view, self._seed(view), "start"))
+            events.append(self._restart(frame.number, view, self._seed(view, self._settings.region), "start"))
         if threshold is not None:
             self.threshold = threshold
             self._search.used()
@@ -370,17 +390,18 @@ class StreamTracker:
             events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
         return events
 
-    def _seed(self, view: Array) -> Array:
-        """Detect corners in a view (1, H, W) as points to track: positions (N, 2) px, padded with NaN."""
+    def _seed(self, view: Array, region: Array) -> Array:
+        """Detect corners of a view (1, H, W) inside a region (H, W): positions (N, 2) px, padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
-        found = self._engine.detect(self._engine.images(view), self._settings.region, len(points))
+        found = self._engine.detect(self._engine.images(view), region, len(points))
         points[: len(found)] = found
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
         """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
-        points = self._seed(change.image)
-        if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
+        points = self._seed(change.image, change.region)
+        column, row = np.rint(points[known_of(points)]).astype(int).T
+        if change.counted[row, column].sum() > change.kept:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
         self._upkeep.kept(self._begun)
         return []
@@ -415,7 +436,7 @@ class StreamTracker:
 
     def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
-        self._unlearnt.append(_PendingThreshold(newest, work.frame.number, work, False))
+        self._unlearnt.append(_PendingContact(newest, work.frame.number, work, None, None))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, newest: int) -> FrameOutcome:
@@ -437,13 +458,18 @@ class StreamTracker:
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_PendingThreshold(newest, frame.number, work, True))
+        self._unlearnt.append(_PendingContact(newest, frame.number, work, found, self._seeding))
         if self._change is None:
             cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
             if cause:
                 self._asked = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
-                self._change = _Change(newest, frame.number, image, found.points[0].copy(), cause)
+                region = counted = self._settings.region
+                kept = 0 if cause == PAGE else tracked
+                if cause == CONTACT and self._sparse is not None:
+                    kept, counted, region = self._sparse
+                places = found.points[0].copy()
+                self._change = _Change(newest, frame.number, image, places, cause, region, counted, kept)
         return self._outcome(work, USABLE, found, tracked)
 
     def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
@@ -474,11 +500,15 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_threshold(self, one: _PendingThreshold) -> list[Event]:
+    def _learn_contact(self, one: _PendingContact) -> list[Event]:
+        if one.found is not None and one.seeding is self._seeding and one.work.index % _LOOK_EVERY == 0:
+            touching = float(self._contact_of(one.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(one.work, one.found) if touching else None
+            self._upkeep.see_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
         measured = one.work.measured
-        if not one.counts:
+        if one.found is None:
             if measured is not None:
                 self._search.passed_over()
             return []
@@ -486,6 +516,40 @@ class StreamTracker:
         if self._search.see(one.newest, area, measured) and measured is not None:
             return [Event("threshold", one.number, {"threshold": measured})]
         return []
+
+    def _sparse_contact(self, work: Work, found: FoundPoints) -> _Sparse | None:
+        """Return the contact of a frame if it has fewer tracked points than fits need; None otherwise.
+
+        New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
+        length apart: a contact that has just begun grows about its place.
+        """
+        contact, size = self._contact_of(work), self._settings.mm_per_px
+        area = float(contact.gross_area_px[0]) * size**2
+        gauge = self._engine.settings.gauge_length_mm
+        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
+        points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
+        # Nor are other points chosen where all of them would be too few.
+        if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
+            return None
+        wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi  # product of the semi-axes, px
+        major, minor = (float(one) for one in contact.semi_axes[0])
+        more = (math.hypot(major - minor, 2 * math.sqrt(wanted)) - major - minor) / 2
+        axes = np.array([major, minor])
+        wide = axes + max(more, self._engine.settings.window_px)
+        inside, around = (self._settings.region & self._in_ellipse(contact, one) for one in (axes, wide))
+        return _Sparse(points, inside, around)
+
+    def _in_ellipse(self, contact: FrameContact, semi_axes: Array) -> Array:
+        """Return the mask (H, W) of the topography view inside the ellipse of a contact with other semi-axes, px."""
+        rows, columns = np.indices(self._settings.region.shape, dtype=np.float32)
+        right, down = (
+            by_x * columns + by_y * rows + shift - middle
+            for (by_x, by_y, shift), middle in zip(self._to_contact, contact.center[0], strict=True)
+        )
+        cosine, sine = np.cos(contact.angle[0]), np.sin(contact.angle[0])
+        along, across = (right * cosine + down * sine) / semi_axes[0], (down * cosine - right * sine) / semi_axes[1]
+        result: Array = along * along + across * across < 1
+        return result
 
 
 def _tracked(found: FoundPoints) -> int:

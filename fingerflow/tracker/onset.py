@@ -34,6 +34,20 @@ class Touching(NamedTuple):
     touching: Array
     begins: Array
 
+    def displacement_variance(self, now: Array) -> Array:
+        """Return the variance (F, N) px^2 of displacement components by image noise, given that of positions, `now`.
+
+        The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
+        of them is the position `now` itself. Half of a position's variance is noise of the key frame's template, the
+        same in every frame. It cancels in the difference of two positions, unless one of them is that of the key frame,
+        which is exact.
+        """
+        rest = np.square(1 - self.share)  # weight of the frame before the touch, squared
+        then, earlier = (np.where(one > 0, one, now) for one in (self.variance, self.earlier))
+        since = now + np.square(self.share) * then
+        result: Array = (np.where(self.begins, rest * now, since) + rest * earlier) / 2
+        return result
+
 
 class Touches:
     """Touch history of all points: whether each point touches the glass, and when and where its touch began.

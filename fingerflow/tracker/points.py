@@ -446,23 +446,31 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Reject points whose window differs from the window in the key frame, and return all points.
+        """Reject points whose window differs from that in the key frame, or holds them back; return all points.
 
-        Covariances count from the key frame. Points that fail are NaN, with the status WINDOW_DIFFERS.
+        Covariances count from the key frame. Points that fail are NaN, with status WINDOW_DIFFERS or DUST_IN_WINDOW.
         """
+        check = self._verification.check
         if self._knowledge.ahead:
-            failed = yield from self._verification.check(images, found.points, found.status, self._last_warp())
+            verified = yield from check(images, found.points, found.status, self._last_warp())
         else:
-            failed = self._verification.failed
             if self._followed % MOST_FRAMES == 0:
-                yield from self._verification.check(images, found.points, found.status, self._last_warp())
-                failed = self._verification.failed
+                yield from check(images, found.points, found.status, self._last_warp())
+            verified = self._verification.latest
         covariance = found.covariance
         if not self._by_key:
             covariance = self._since_start(found.variance)[..., None, None] * np.eye(2, dtype=np.float32)
-        differs = (found.status == TrackStatus.TRACKED) & failed
+        if verified.variance.any():
+            covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
         found = found._replace(covariance=covariance)
-        return rejected(found, differs, TrackStatus.WINDOW_DIFFERS) if differs.any() else found
+        tracked = found.status == TrackStatus.TRACKED
+        for which, status in (
+            (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
+            (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
+        ):
+            if which.any():
+                found = rejected(found, which, status)
+        return found
 
     def _last_warp(self) -> Array:
         """Return the deformation gradients (N, 2, 2) of the skin in the last frame; NaN where unknown."""

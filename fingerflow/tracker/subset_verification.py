@@ -1,9 +1,10 @@
-"""Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin."""
+"""Compare the window (subset) of each point with the key frame, to detect points that follow the wrong skin or dust."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.window_match import Centred, correlation_of, deformed_alike
+from fingerflow.tracker.window_match import Centred, Shifted, correlation_of, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -19,6 +20,30 @@ STEP = 3  # px of a window's grid: 81 samples of a window of 25 px
 _ALIKE = 0.05  # 1 - correlation that is always allowed; ridges with a period of 15 px exceed it if shifted by 1.5 px
 _USUAL, _MOST = 4.0, 0.2  # times the median over all points, which is allowed if it is more, and its upper bound
 _NOISE = 3.0  # times the loss of correlation by the noise of two images
+_PEAK = 4.5  # times the usual residual of windows: a larger single one stands out
+# Distance from where most samples of a window match, px and in its deviations, and share of samples that do not match:
+# beyond these, something else holds the point.
+_HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
+
+
+class Verified(NamedTuple):
+    """Points that do not follow their skin, by their windows.
+
+    Attributes:
+        differs: (N,) bool, windows that are no longer those of the key frame.
+        held: (N,) bool, windows in which something that does not move with the skin holds the point back.
+        variance: (N,) px^2 that such an object adds to the variance of a coordinate of the other points.
+    """
+
+    differs: Array
+    held: Array
+    variance: Array
+
+    @classmethod
+    def none(cls, points: int) -> Self:
+        """Return the result of points that all follow their skin."""
+        nothing = np.zeros(points, dtype=bool)
+        return cls(nothing, nothing, np.zeros(points, np.float32))
 
 
 class Verification:
@@ -36,6 +61,12 @@ class Verification:
     subset too little. A subset without neighbours, whose motion would deform it, is not checked. Where most points are
     being lost, gradients are poor: in a slide of 16 frames 16 of 21 wrong positions are detected, and 106 of 1637
     correct ones are lost.
+
+    Dust that rests on the glass pulls a point towards where it was, and a window is large beside a speck: correlations
+    hardly show it. Where a residual of the window stands out, the window is shifted to where most of its samples match
+    (`window_match.shifted_alike`). A shift by more than a third of a pixel rejects the point; a smaller one is added
+    to its variance. On the shipped press with 300 specks of half the light 99 % of the positions that are wrong by more
+    than 0.5 px are rejected, and without dust none of 27,000 positions (`python -m tests.silent points`).
     """
 
     def __init__(self, engine: Engine, image: Images, points: Array) -> None:
@@ -45,15 +76,15 @@ class Verification:
         self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight, STEP)
         self._centred = Centred.of(self._first)
         self._variance = self._first.var(1, ddof=1)
-        self.failed = np.zeros(len(points), dtype=bool)
+        self.latest = Verified.none(len(points))
         self.correlation = np.full(len(points), np.nan, np.float32)
 
-    def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Array]:
-        """Verify the points in several images, and return a mask (N,) of the points to be rejected in these images.
+    def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Verified]:
+        """Verify the points in several images, and return which points to reject in these images.
 
         Positions are (n, N, 2) px, images (n, 1, h, w). Each point is checked once, in the last image in which it is
         tracked. A point that fails there, or failed at the check before, may have left its skin in any of these images.
-        `failed` has those that fail at this check, `correlation` (N,) the correlation of each, NaN where unknown.
+        `latest` is the result of this check alone, `correlation` (N,) the correlation of each, NaN where unknown.
         `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
@@ -61,7 +92,8 @@ class Verification:
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)  # 0 for none
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
-        apart = yield from self._dissimilarity(images, number, places, warp)
+        now = yield from self._sampled(images, number, places, warp)
+        apart = self._dissimilarity(now)
         noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which never fails
@@ -76,23 +108,48 @@ class Verification:
             better = yield from deformed_alike(
                 self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = yield from self._dissimilarity(images, *some, better, suspect)
+            again = self._dissimilarity((yield from self._sampled(images, *some, better)), suspect)
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
-        before, self.correlation = self.failed, (1 - apart).astype(np.float32)
+        before, unknown = self.latest, np.isnan(apart)
+        shift = yield from self._shifts(images, number, places, warp, Centred.of(now).part, noise)
+        away = np.square(shift.shift).sum(1)
+        held = (away > _HELD_PX**2) & (shift.deviations > _HELD_DEVIATIONS) & (shift.excluded > _HELD_SHARE)
+        self.correlation = (1 - apart).astype(np.float32)
         # A point that cannot be checked keeps its result.
-        self.failed = np.where(np.isnan(apart), before, apart > limit)
-        result: Array = before | self.failed
+        found = Verified(apart > limit, held, (away / 2).astype(np.float32))
+        self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, found, strict=True)))
+        return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
+
+    def _shifts(
+        self, images: Images, number: Array, places: Array, warp: Array, now: Array, noise: float
+    ) -> Steps[Shifted]:
+        """Return the shifts of N windows, where residuals stand out; they are 0 for other windows.
+
+        `now` (N, m) are the windows minus their means.
+        """
+        result = Shifted(np.zeros((len(now), 2)), *np.zeros((2, len(now))))
+        then, square = self._centred
+        with np.errstate(invalid="ignore", divide="ignore"):
+            residual = now - (now * then).mean(1, keepdims=True) / square[:, None] * then
+            whole = np.sqrt(np.square(residual).mean(1))
+        known = np.sort(whole[np.isfinite(whole)])
+        if len(known):
+            usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
+            standing = np.flatnonzero(np.abs(residual).max(1) > _PEAK * usual)
+            if len(standing):
+                some = (number[standing], places[standing], warp[standing])
+                sample = partial(self._sampled, images)
+                found = yield from shifted_alike(self._first[standing], sample, *some, math.sqrt(2) * noise)
+                for whole, part in zip(result, found, strict=True):
+                    whole[standing] = part
         return result
 
     def _sampled(self, images: Images, number: Array, places: Array, warp: Array) -> Steps[Array]:
         found: Array = yield Call(self._engine.windows, (images, number, places, warp, STEP))
         return found
 
-    def _dissimilarity(
-        self, images: Images, number: Array, places: Array, warp: Array, rows: Array | None = None
-    ) -> Steps[Array]:
-        """Return the dissimilarity, 1 - correlation, of present and key-frame windows, for all points or for `rows`."""
-        now = yield from self._sampled(images, number, places, warp)
+    def _dissimilarity(self, now: Array, rows: Array | None = None) -> Array:
+        """Return the dissimilarity, 1 - correlation, of present windows and those of the key frame, all or `rows`."""
         then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
         result: Array = 1 - correlation_of(then, Centred.of(now))
         return result

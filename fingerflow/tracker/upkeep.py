@@ -67,6 +67,7 @@ class ThresholdSearch:
 
 
 REKEY = "rekey"  # cause of a new key frame for the same points
+CONTACT = "contact"  # cause of a reseeding where the contact has come to lie
 
 
 class Upkeep:
@@ -79,16 +80,18 @@ class Upkeep:
 
     _IN_A_ROW = 4  # a single frame may be blurred or dark
     _RESTART = 64  # frames between two seedings, each of which takes as long as ten frames
+    _LOOKS = 2  # contacts with too few points, one after the other
+    _YOUNG = 16  # looks at a contact, until which points are seeded where it lies: then skin has deformed already
 
     def __init__(self, share: float, frames: float) -> None:
         self._share, self._frames = share, frames
         self.key_frame = 0
-        self._found = self._keyed = self._few = self._lost = self._tried = 0
+        self._found = self._keyed = self._few = self._lost = self._tried = self._sparse = self._looks = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
         """Record a reseeding before frame `index`, which found `found` points in frame number `key_frame`."""
         self.keyed(key_frame, found)
-        self._found, self._tried, self._lost = found, index, 0
+        self._found, self._tried, self._lost, self._sparse = found, index, 0, 0
 
     def keyed(self, key_frame: int, points: int) -> None:
         """Record a new key frame, and the number of points tracked from this frame."""
@@ -98,12 +101,23 @@ class Upkeep:
         """Record that the current points were kept at frame `index`: reseeding would not have given more."""
         self._tried = index
 
+    def see_contact(self, touching: bool, sparse: bool) -> None:
+        """Add a look at the contact: whether there is one, and whether it has too few tracked points."""
+        self._looks = self._looks + 1 if touching else 0
+        self._sparse = self._sparse + 1 if sparse and self._looks <= self._YOUNG else 0
+
     def see(self, index: int, number: int, tracked: int) -> str:
-        """Add a frame with a number of tracked points; return the cause of a change: "lost", `REKEY` or ""."""
+        """Add a frame with a number of tracked points; return the cause of a change, "" for none.
+
+        Causes are "lost", `CONTACT` and `REKEY`.
+        """
         self._lost = self._lost + 1 if tracked < max(self._found / 2, 1) else 0
         self._few = self._few + 1 if tracked < self._share * self._keyed else 0
         if self._lost >= self._IN_A_ROW and index - self._tried >= self._RESTART:
             return "lost"
+        if self._sparse >= self._LOOKS:
+            self._sparse, self._looks = 0, self._YOUNG
+            return CONTACT
         if tracked and (self._few >= self._IN_A_ROW or number - self.key_frame >= self._frames):
             return REKEY
         return ""

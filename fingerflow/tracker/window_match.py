@@ -1,4 +1,4 @@
-"""Correlate windows of two images, and fit the deformation by which they match best, in NumPy.
+"""Correlate windows of two images, and fit the deformation or the shift by which they match best, in NumPy.
 
 An engine samples the windows.
 """
@@ -21,6 +21,9 @@ _LEAST_VARIANCE = 1e-12
 _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
 _FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
+_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 2, 4  # samplings of the windows, and reweightings after each
+_TUKEY, _MAD = 4.685, 1.4826  # deviations beyond which a sample has no weight; deviation over the median of |residual|
+_EXCLUDED = 0.05  # weight of a sample below which it counts as excluded
 
 
 class Centred(NamedTuple):
@@ -81,3 +84,67 @@ def deformed_alike(
             solved = np.linalg.lstsq(unknown[k], -here[k], rcond=None)[0][:4].reshape(2, 2)
             warp[k] += np.clip(solved, -_FARTHEST, _FARTHEST)
     return warp
+
+
+class Shifted(NamedTuple):
+    """Shifts of windows by which most of their samples match best.
+
+    Attributes:
+        shift: (N, 2) px; 0 where it cannot be found.
+        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
+        excluded: (N,) share of the samples that do not match by then, and have no weight.
+    """
+
+    shift: Array
+    deviations: Array
+    excluded: Array
+
+
+def shifted_alike(
+    first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float
+) -> Steps[Shifted]:
+    """Fit the shifts by which most samples of windows match earlier windows, and exclude the samples that do not.
+
+    Gauss-Newton for a T + b = I(place + shift + F w) in the shift, gain a and offset b, with Tukey's biweight of the
+    residual: what covers a small part of a window and does not move with it, as dust on the glass, has no weight.
+
+    Args:
+        first: (N, m) grey levels T of the earlier windows.
+        sample: samples windows in the present images I.
+        number, places, warp: image (N,), centre (N, 2) px and deformation F (N, 2, 2) of the windows.
+        noise: least standard deviation of the residuals that a fit assumes, grey levels.
+    """
+    count = len(first)
+    beside = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
+    around = yield from sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
+    right, left, below, above = around.reshape(4, count, -1)
+    slopes = ((right - left) / (2 * _BESIDE), (below - above) / (2 * _BESIDE))
+    unknown = np.stack((*slopes, -first, -np.ones_like(first)), axis=-1).astype(np.float64)
+    shift, weight = np.zeros((count, 2)), np.ones(first.shape)
+    known: Array = np.asarray(np.isfinite(unknown).all((1, 2)))
+    unknown[~known] = 0
+    for _ in range(_SHIFT_ROUNDS):
+        here = yield from sample(number, places + shift.astype(np.float32), warp)
+        known &= np.isfinite(here).all(1)
+        given = np.where(known[:, None], -here, 0.0)
+        for _ in range(_WEIGHT_ROUNDS):
+            solved, residual, inverse = _weighted_fit(unknown, given, weight)
+            spread = np.maximum(_MAD * np.median(np.abs(residual), axis=1), noise)
+            weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * spread[:, None])), 0, None))
+        shift += np.clip(solved[:, :2], -1, 1)
+    shift[~known] = 0
+    square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
+    return Shifted(shift, np.sqrt(square) / spread, np.where(known, (weight < _EXCLUDED).mean(1), 0.0))
+
+
+def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Return weighted least-squares solutions (N, 4), residuals (N, m) and inverse normal matrices of N systems.
+
+    `unknown` is (N, m, 4), `given` and `weight` are (N, m).
+    """
+    weighted = (unknown * weight[..., None]).mT
+    matrix = weighted @ unknown
+    scale = np.trace(matrix, axis1=1, axis2=2)[:, None, None]
+    inverse = np.linalg.inv(matrix + (1e-12 * scale + _LEAST_VARIANCE) * np.eye(4))
+    solved = inverse @ (weighted @ given[..., None])
+    return solved[..., 0], given - (unknown @ solved)[..., 0], inverse

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bench import dic_codes, timing
 from bench.rows import Row, Skipped, number
 from bench.suites import (
+    curved,
     dense,
     dic,
     drift,
@@ -128,6 +129,16 @@ def test_drift() -> None:
     assert number(walk, "over_bound") > number(key, "over_bound")
     assert key["accepted"] == 1
     assert {row["frame"] for row in rows} == {1, 3, 10, 12}
+
+
+def test_curved() -> None:
+    """Where the displacement is a wave of 100 px, less than half of OpenCV's error; where it is uniform, no noise more
+    than the deviation states. The wave's error is twice the deviation."""
+    rows = curved.run(quick=True)
+    ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))
+    assert number(ours, "rms_px") < 0.55 * number(peer, "rms_px")
+    assert number(ours, "rms_px") < 0.021
+    assert 0.85 < number(one(rows, field="uniform", tracker="fingerflow"), "z") < 1.15
 
 
 def test_dic(shared_data: Path) -> None:
@@ -293,18 +304,26 @@ def test_stated() -> None:
 def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """On the processor instead: the same results. Where there is no CUDA it says what it would run."""
     rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
-    assert {(row["work"], row["recordings"]) for row in rows} == {
-        (work, batch) for work in ("contact", "key", "tracking", "fields") for batch in (1, 3)
-    }
+    works = ("contact", "key", "tracking", "outliers", "deformation", "fields")
+    assert {(row["work"], row["recordings"]) for row in rows} == {(work, batch) for work in works for batch in (1, 3)}
     assert all(row["deviation"] == 0 for row in rows)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = gpu.run(quick=True)
     assert {(row["work"], row["recordings"]) for row in rows} == {
-        (work, batch) for work in ("contact", "key", "tracking", "fields") for batch in (1, 4)
+        (work, batch) for work in (*works, "frame", "tracking, fused", "frame, fused") for batch in (1, 4)
     }
     assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
     fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
     assert fields[0] == fields[1] > 50
+    of_first = {str(row["work"]): row for row in rows if row["recordings"] == 1}
+    assert number(of_first["frame"], "launches") == sum(
+        number(of_first[work], "launches") for work in works if work != "key"
+    )
+    assert number(of_first["tracking, fused"], "launches") == 1
+    assert 5 <= number(of_first["tracking"], "launches_captured") <= 7
+    for row in rows:  # more recordings a call: more frames a second
+        assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] == "tracking, fused"
+        assert row["measured"] == "none: no device here"
 
 
 def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:

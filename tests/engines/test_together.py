@@ -1,5 +1,6 @@
 """Recordings in lock-step: which calls become one, and whose an error is."""
 
+import logging
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -77,6 +78,19 @@ def test_each_is_computed_when_the_memory_of_all_is_free_again() -> None:
     engine = Doubling(1)
     assert run_together([followed(engine, 3), followed(engine, 4)]) == [6, 8]
     assert engine.made == [("follow", [3]), ("follow", [4])]
+
+
+def test_calls_that_need_too_much_memory_are_halved(caplog: pytest.LogCaptureFixture) -> None:
+    """And stay so, until they fit; it is said once for each size."""
+    engine = Doubling(3)
+    with caplog.at_level(logging.WARNING):
+        found = run_together([followed(engine, value, 2) for value in range(1, 9)])
+    assert found == [4 * value for value in range(1, 9)]
+    assert [len(values) for _, values in engine.made] == [2] * 8
+    assert [message.split(":")[0] for message in caplog.messages] == [
+        f"follow of {size} recordings needs too much memory and is from now on made of {size // 2} at a time"
+        for size in (8, 4)
+    ]
 
 
 def test_an_error_is_of_the_recording_that_it_comes_from() -> None:

@@ -1,7 +1,10 @@
 """A bundle where a lab PC has few packages: numpy and onnxruntime, or numpy alone."""
 
+import json
+import os
 import re
 import shutil
+import socket
 import subprocess
 import urllib.request
 from pathlib import Path
@@ -77,6 +80,28 @@ def test_player_page_and_results(lab: LabPC, tmp_path: Path) -> None:
     stream = open_stream(results)
     assert stream.sizes["frame"] == FRAMES
     assert np.isfinite(stream["real_contact_area"]).any()
+
+
+def test_live_numbers_need_no_other_package(lab: LabPC, tmp_path: Path) -> None:
+    """UDP, OSC, serial line and triggers; ZeroMQ and LSL are named as what is to be installed."""
+    terminal, line = os.openpty()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(20)
+        port = receiver.getsockname()[1]
+        when = ("--when", "apparent_area > 3 mm2", "--then", f"serial:{os.ttyname(line)}:1")
+        stream = ("-m", "fingerflow.player", "--source", "synthetic", "--frames", "60", "--page", "off", *lab.options)
+        out = ("--output", str(tmp_path / "results"), "--send", f"udp:127.0.0.1:{port}", "--send", "osc:127.0.0.1:9")
+        ended = lab.run(*stream, *out, *when)
+        assert ended.returncode == 0, ended.stderr
+        assert [json.loads(receiver.recv(4096))["frame"] for _ in range(60)] == list(range(60))
+    assert os.read(terminal, 9) == b"1"  # in half a period the contact grows once
+    os.close(terminal)
+    os.close(line)
+    for kind, package in (("zeromq:tcp://127.0.0.1:9", "pyzmq"), ("lsl:a", "pylsl")):
+        ended = lab.run(*stream, "--output", str(tmp_path / "more"), "--send", kind)
+        assert ended.returncode == 2
+        assert f"`pip install {package}`" in ended.stderr
 
 
 _READ = """

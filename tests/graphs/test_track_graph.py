@@ -87,7 +87,8 @@ def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() 
     turned = torch.tensor([[1.3, 0.0], [0.0, 1.3]]).expand(1, points.shape[1], 2, 2)
     corrected = DeformationGraph(25)(points, found, templates.numbers, turned).found
     of_key = 0.25 * templates.numbers[..., Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1 : 2].mean(-1)
-    assert (corrected.variance / of_key - 1).abs().max() < 1e-3
+    # A deformation that contradicts the displacements leaves no smooth field: that adds to some variances.
+    assert (corrected.variance / of_key).min() > 1 - 1e-3
 
 
 def test_points_elsewhere_and_unsure_ones_are_told_apart() -> None:

@@ -1,6 +1,6 @@
 """Recordings computed together against each by itself."""
 
-from functools import wraps
+from functools import partial, wraps
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,17 @@ import xarray as xr
 from torch import Tensor
 
 from fingerflow import process
+from fingerflow.engines.capture import Captured, RecordedCall
+from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.graphs.track import TrackGraph
 from fingerflow.kernels import tensors as kernels
+from fingerflow.pipeline import run
 from fingerflow.pipeline.run import process_together
+from fingerflow.pipeline.stages.preparation import inputs
 from fingerflow.synthetic import Press, write_recording
+from tests.replayed_ops import record
 from tests.small_trials import edit_scene
 
 _FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 240), "finger": (1.8, 1.5)}
@@ -136,6 +141,27 @@ def test_other_settings_are_asked_by_themselves(scenes: list[Path], batches: dic
     for one, expected in zip(together(given), alone(given), strict=True):
         compare(one, expected, _ROUNDING)
     assert max(batches["TrackGraph"]) == 1
+
+
+@pytest.mark.usefixtures("portable")
+@pytest.mark.parametrize("some", [slice(1), slice(2)])
+def test_captured_modules_and_frames_decoded_ahead(
+    scenes: list[Path], monkeypatch: pytest.MonkeyPatch, some: slice
+) -> None:
+    """As on a GPU: modules are recorded and replayed, and a second thread reads."""
+    expected = alone(scenes[some])
+    replayed: list[str] = []
+
+    def recorded(call: Any) -> RecordedCall:
+        found = record(call)
+        return found._replace(replay=lambda: (replayed.append("graph"), found.replay()))
+
+    modules = partial(Captured, record=recorded)
+    monkeypatch.setattr(inputs, "engine_for", lambda name, settings, device: TorchEngine(settings, device, modules))
+    monkeypatch.setattr(run, "_decodes_ahead", lambda inputs: True)
+    for one, other in zip(together(scenes[some]), expected, strict=True):
+        compare(one, other, _ROUNDING)
+    assert len(replayed) > 10
 
 
 @pytest.mark.usefixtures("portable")

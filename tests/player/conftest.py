@@ -75,7 +75,7 @@ class Stream:
         """
         if frames is None:
             return ()
-        self._monkeypatch.setattr("fingerflow.player.cli.engine_of_stream", _together)
+        self._monkeypatch.setattr("fingerflow.player.opening.engine_of_stream", _together)
         return "--parallel-frames", str(frames)
 
     def run(self, *arguments: str) -> Ended:

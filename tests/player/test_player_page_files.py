@@ -34,7 +34,7 @@ def test_nothing_comes_from_elsewhere() -> None:
     own = {path.removeprefix("/") for path in page._FILES}
     loaded = re.findall(r'\b(?:src|href)="([^"]+)"', HTML)
     assert {one for one in loaded if not one.startswith("data:")} == own - {""}
-    assert set(re.findall(r'fetch\("(\w+)"', JS)) == {"live", "restart"}
+    assert set(re.findall(r'fetch\("(\w+)"', JS)) == {"live", "restart", "shown"}
     assert {name for name, _ in page._FILES.values()} == {file.name for file in FOLDER.iterdir()}
 
 
@@ -63,12 +63,12 @@ def test_the_script_reads_what_the_stream_sends() -> None:
 
 
 def test_what_is_expected_has_a_name_on_the_page() -> None:
-    from fingerflow.player.live_data import _SHOWN
+    from fingerflow.player.live_data import SHOWN
     from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
 
     expected = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4).expected_in(0, 1)
     axes = re.search(r"const AXES = \{(.*?)\}", JS)
-    assert set(expected) <= set(_SHOWN) | set(re.findall(r"(\w+): ", axes[1] if axes else ""))
+    assert set(expected) <= set(SHOWN) | set(re.findall(r"(\w+): ", axes[1] if axes else ""))
 
 
 def test_the_script_is_javascript() -> None:

@@ -14,7 +14,7 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame
 
 from fingerflow import player
-from fingerflow.player import cli
+from fingerflow.player import opening
 from fingerflow.player import stream_player as stream_module
 
 START = ("--threads", "1")
@@ -49,7 +49,7 @@ def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatc
         def now(cls, tz: Any = None) -> "Standing":
             return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
 
-    monkeypatch.setattr(cli, "datetime", Standing)
+    monkeypatch.setattr(opening, "datetime", Standing)
     monkeypatch.chdir(stream.folder)
     for count in (3, 4, 5):
         source = stream.frames(frame() for _ in range(count))
@@ -111,7 +111,7 @@ def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
     [
         (frame().tolist(), "gave a list in place of a frame"),
         ((True, None), "gave (True, None) in place of a frame"),
-        ((frame(), 3), "gave a tuple in place of a frame"),
+        ((frame(), "3"), "gave a frame with the time stamp '3' in place of a frame"),
         ("frame", "gave a str in place of a frame"),
     ],
 )

@@ -145,7 +145,32 @@ def cases() -> Iterator[Case]:
         for fault in FAULTS:
             yield try_fault(fault, recording, right)
         yield _without_fault("small press", right)
+    yield from _small_contacts()
     yield from _without_faults()
+
+
+def _small_contacts() -> Iterator[Case]:
+    """Yield presses of which less than 1 mm² ever touches."""
+    skins: dict[str, SyntheticScene] = {"rings": PRESS}
+    if FINGERS.is_dir():
+        skins |= {f"print {name}": scene_of_print(Press, FINGERS / f"{name}.tif", DPI) for name in ("101_1", "104_1")}
+    for name, skin in skins.items():
+        for semi_axes in ((0.45, 0.4), (0.6, 0.5)):
+            press = replace(PRESS, texture=skin.texture, semi_axes=semi_axes)
+            with tempfile.TemporaryDirectory() as folder:
+                write_recording(Path(folder) / "press", press)
+                result = process(Path(folder) / "press" / "scene.toml", AREAS)
+            truth = np.array([press.truth.gross_contact_area_mm2(frame) for frame in range(press.n_frames)])
+            gross, deviation = (result[f"gross_contact_area{of}"].values for of in ("", "_std"))
+            some = (truth > 0.05) & (result["real_contact_area"].values > 0)
+            off = ((gross - truth) / deviation)[some]
+            worst, spread = float(np.abs(off).max()), float(np.sqrt(np.square(off).mean()))
+            largest = (
+                f"{np.max(np.abs(gross - truth)[some]):.2f} mm2 off, {spread:.1f} deviations RMS, {worst:.1f} worst"
+            )
+            verdict = "right" if spread < 2 and worst < 4 else "wrong in silence"
+            stated = f"{deviation[some].min():.2f} to {deviation[some].max():.2f} mm2"
+            yield Case(f"{truth.max():.2f} mm2 of {name}", largest, "0", stated, verdict)
 
 
 def _without_faults() -> Iterator[Case]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 import xarray as xr
 from typer.testing import CliRunner
 
@@ -96,6 +97,22 @@ def test_trials_together_are_what_each_is_by_itself(
     pd.testing.assert_frame_equal(table[whole], expected[whole], check_exact=True, check_dtype=False)
     made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
     assert sorted(one["together"] for one in made) == [2, 2, 3, 3, 3, 3, 3, 3]
+
+
+def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as its free memory holds, at most eight; without a GPU, or on a cluster, one by one."""
+    assert run._default_group_size(study, None) == 1
+    free = [80e9]
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free[0], 80e9))
+    assert run._default_group_size(study, None) == 8
+    assert run._default_group_size(study, "tcp://elsewhere") == 1
+    found = []
+    for free[0] in np.linspace(1e9, 5e9, 400):
+        found.append(run._default_group_size(study, None))
+    assert found == sorted(found)
+    assert found[0] == 1
+    assert {2, 5, 8} <= set(found)
 
 
 def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:

@@ -85,7 +85,7 @@ def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None
     [
         ("points", "UPDATE_PX", 0.4, "press", {"position_px"}),
         ("points", "FASTEST_PX", 0.01, "press", {"position_px"}),
-        ("point_prediction", "SPEED_WEIGHT", 0.2, "slide", {"position_px", "status"}),
+        ("point_prediction", "SPEED_WEIGHT", 0.2, "slide", {"position_px"}),
         ("recovery", "ROUNDS", 0, "slide", {"position_px", "status"}),
         ("subset_verification", "_NOISE", -3.0, "slide", {"position_px", "status"}),
         ("frame_returns", "_LEAST_EXCESS", 1e9, "spoiled", {"frame_status", "real_contact_area"}),

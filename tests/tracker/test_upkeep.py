@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fingerflow.tracker.upkeep import ThresholdSearch, Upkeep
+from fingerflow.tracker.upkeep import CONTACT, ThresholdSearch, Upkeep
 
 
 def test_a_growing_contact_measures_the_threshold_again() -> None:
@@ -70,3 +70,15 @@ def test_a_threshold_is_measured_later_where_its_frame_does_not_count() -> None:
     assert not search.wants(6)
     search.see(6, 20.0, None)
     assert search.wants(8)
+
+
+def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
+    upkeep = Upkeep(0.8, math.inf)
+    upkeep.restarted(0, 0, 100)
+    causes = []
+    for index in range(100):
+        touches = 10 <= index < 60 or index >= 70
+        upkeep.see_contact(touches, touches and index % 50 > 12)
+        causes.append(upkeep.see(index, index, 100))
+    assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
+    assert {causes[14], causes[71]} == {CONTACT}

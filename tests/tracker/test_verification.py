@@ -127,7 +127,7 @@ def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: fl
     status = np.zeros((2, len(then)), np.uint8)
     warp = warps(GRADIENT, len(then))
     both = np.stack((now, now))
-    assert not run_alone(Verification(engine, first, then).check(images, both, status, warp)).any()
+    assert not run_alone(Verification(engine, first, then).check(images, both, status, warp)).differs.any()
     generator = torch.Generator().manual_seed(4)
     found = count = 0
     for offset in range(10):
@@ -137,7 +137,7 @@ def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: fl
         distance = least + (most - least) * torch.rand(len(then), generator=generator).numpy()
         away = np.where(some, distance, 0.0)
         shift = (away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)).astype(np.float32)
-        failed = run_alone(Verification(engine, first, then).check(images, both + shift, status, warp))
+        failed = run_alone(Verification(engine, first, then).check(images, both + shift, status, warp)).differs
         assert not failed[~some].any()
         found, count = found + int(failed.sum()), count + int(some.sum())
     assert found >= share * count
@@ -154,7 +154,7 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     beside = now + only[:, None] * np.array([6.0, 3.0], np.float32)
 
     def check(places: Array, of: Array = status) -> Array:
-        return run_alone(verification.check(image, places[None], of, straight))
+        return run_alone(verification.check(image, places[None], of, straight)).differs
 
     np.testing.assert_array_equal(check(beside), only)
     np.testing.assert_array_equal(check(now), only)
@@ -165,7 +165,7 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     np.testing.assert_array_equal(check(np.where(only[:, None], np.float32(np.nan), now), lost), only)
     # Nor can one whose deformation is not known.
     unknown = np.where(only[:, None, None], np.float32(np.nan), straight)
-    np.testing.assert_array_equal(run_alone(verification.check(image, beside[None], status, unknown)), only)
+    np.testing.assert_array_equal(run_alone(verification.check(image, beside[None], status, unknown)).differs, only)
 
 
 def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -> None:
@@ -176,7 +176,37 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
     blurred = np.lib.stride_tricks.sliding_window_view(sharp, (5, 5)).mean((2, 3))[None]
     status = np.zeros((1, len(then)), np.uint8)
     images = engine.images((0.6 * blurred + 30).astype(np.float32))
-    assert not run_alone(verification.check(images, now[None], status, warps(GRADIENT, len(then)))).any()
+    found = run_alone(verification.check(images, now[None], status, warps(GRADIENT, len(then))))
+    assert not (found.differs | found.held).any()
+    assert float(found.variance.max()) < 0.1**2
+
+
+def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
+    """Specks rest while the skin moves by 3 px. A point beside a speck that is 0.6 px back is held; of one that is
+    0.2 px back the shift is in the variance. Of the others, whose windows contain specks too, one in twenty may be
+    lost: here points lie on a grid, and the skin hardly changes along some ridges."""
+    engine = make_engine(SETTINGS)
+    then, now = points(UNMOVED, (3.0, 0.0))
+    some = np.arange(len(then)) % 23 == 11
+    x, y = np.meshgrid(np.arange(200.0), np.arange(160.0))
+    light = np.ones_like(x)
+    for right, down in then[some] + (4.0, 3.0):
+        light *= 1 - 0.6 * np.exp(-((((x - right) ** 2 + (y - down) ** 2) / 2.0**2) ** 2))
+    first, after = (
+        engine.images((picture(UNMOVED, (shift, 0.0), 2.0, seed) * light).astype(np.float32))
+        for shift, seed in ((0.0, 1), (3.0, 2))
+    )
+    status, straight = np.zeros((1, len(then)), np.uint8), warps(UNMOVED, len(then))
+
+    def check(back: float) -> Any:
+        places = now - some[:, None] * np.array([back, 0.0], np.float32)
+        return run_alone(Verification(engine, first, then).check(after, places[None], status, straight))
+
+    far, near = check(0.6), check(0.2)
+    assert far.held[some].mean() > 0.9
+    assert far.held[~some].mean() < 0.05
+    assert not near.held[some].any()
+    assert 0.1 < float(np.sqrt(2 * near.variance[some].mean())) < 0.3
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,16 @@
 """Check whether the compiled kernels can be used for given tensors in the present state of torch."""
 
+import functools
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.library import is_present
+
+LARGEST_FUSED = 57  # px, side of a window; with its margin it fills a tile of 64 x 64
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -47,6 +51,26 @@ def is_recorded() -> bool:
         or torch._C._len_torch_dispatch_stack() > 0
         or torch._C._are_functorch_transforms_active()
     )
+
+
+def fused_serves(samples: Tensor, *tensors: Tensor) -> bool:
+    """Return whether `fused_tracking` can be used for the samples of templates and other tensors.
+
+    It needs Triton and a GPU of CUDA, and gives no derivatives. Compilers and exporters see the portable form.
+    """
+    if torch.compiler.is_compiling() or is_recorded() or not _has_triton():
+        return False
+    fits = samples.dtype == torch.float32 and samples.shape[-1] <= LARGEST_FUSED**2
+    return fits and all(_is_on_gpu(one) for one in (samples, *tensors))
+
+
+@functools.cache
+def _has_triton() -> bool:
+    return find_spec("triton") is not None
+
+
+def _is_on_gpu(tensor: Tensor) -> bool:
+    return tensor.is_cuda and not (tensor.requires_grad and torch.is_grad_enabled())
 
 
 @constant_to_compiler

@@ -93,22 +93,25 @@ def apparent_contact(
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     """Segment the apparent contact, given the fraction of each cell (B, 1, h, w) that the real contact mask covers."""
     width = (2 * radius + 1) / side
-    density = _smooth(cells, width)
+    boxes, *bands = _all_boxes(cells, width)
+    density = _smooth(cells, boxes)
     flat = 1 / _slope(density)
 
     def inside(limit: Tensor | float) -> Tensor:
         """Return the area fraction of each cell where the density, linear within a cell, exceeds `limit`."""
         return ((density - limit) * flat + 0.5).clamp(0.0, 1.0)
 
-    def share(limit: Tensor | float, weight: Tensor | float = 1.0) -> Tensor:
+    def shares(limit: Tensor | float, weights: Tensor) -> Tensor:
+        """Return the shares (B, 1, 1, n) that the pattern covers inside, for n weights of the cells (B, h w, n)."""
         part = inside(limit)
         # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
-        covered = (torch.minimum(cells, part) * weight).sum((2, 3), keepdim=True)
-        return (covered / (part * weight).sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)
+        sums = torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2) @ weights  # one product for all of them
+        return (sums[:, :1] / sums[:, 1:].clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)[:, None]
 
+    alike = torch.ones_like(cells)
     limit: Tensor | float = 0.25
     for _ in range(_FIRST_ROUNDS):
-        inner = share(limit)
+        inner = shares(limit, alike.flatten(1)[..., None])
         limit = inner / 2
     solid = (inner - _SOLID).clamp_min(0).sign()
     for _ in range(_BORDERS):
@@ -117,13 +120,13 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         # The outer border: what lies beyond the frame, or in a hole, is no rim.
         border = part * (1 - part) * largest_around(filled) * largest_around(1 - filled)
         # At a convex border the smoothed region itself is below one half.
-        own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
+        own = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
         level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
-        narrow, wide = (_band(border, width * boxes) for boxes in (_NARROW, _WIDE))
+        weights = torch.cat((*(_band(border, of_band) for of_band in bands), alike), dim=1).flatten(2).mT.contiguous()
         for _ in range(_ROUNDS):
-            near, far = share(limit, narrow), share(limit, wide)
+            near, far, everywhere = shares(limit, weights).split(1, dim=3)
             rim = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0)
-            limit = (solid * share(limit) + (1 - solid) * rim) * level
+            limit = (solid * everywhere + (1 - solid) * rim) * level
     part = inside(limit)
     whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
@@ -137,27 +140,40 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
-def _band(border: Tensor, width: float) -> Tensor:
-    """Return weights on cells that fall off from a border, smoothed by box means of `width` cells on blocks of 2 x 2
-    cells.
-    """
-    height, wide = border.shape[-2:]
-    return enlarge(_smooth(cell_means(border, 2, border.dtype), max(width / 2, 1.0)), 2)[..., :height, :wide]
+class _Boxes(NamedTuple):
+    """Smoothing matrices of the lines along y and along x, and the number of cells that they reach."""
+
+    down: Tensor
+    along: Tensor
+    reach: int
 
 
-def _smooth(cells: Tensor, width: float) -> Tensor:
-    """Smooth values on cells by three successive box means, each `width` cells wide in x and y.
-
-    Beyond the frame the values are 0.
-    """
-    # Cache the matrices only outside tracing and on the CPU; elsewhere they are built where they are used.
+def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
+    """Return the matrices of boxes `width` cells wide, and of those of both bands, on blocks of 2 x 2 cells."""
+    # Cache the matrices only outside tracing and on the CPU; elsewhere they are built in every call.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
-    boxes = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
-    down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
-    if torch.compiler.is_exporting():
+    matrix = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
+
+    def boxes(size: int, wide: float) -> _Boxes:
+        down, along = (matrix(-(-side // size), wide, cells.device).to(cells.dtype) for side in cells.shape[-2:])
+        return _Boxes(down, along, 3 * math.ceil(wide / 2))
+
+    return [boxes(1, width), *(boxes(2, max(width * one / 2, 1.0)) for one in (_NARROW, _WIDE))]
+
+
+def _band(border: Tensor, boxes: _Boxes) -> Tensor:
+    """Return weights on cells that fall off from a border, smoothed by box means on blocks of 2 x 2 cells."""
+    height, wide = border.shape[-2:]
+    return enlarge(_smooth(cell_means(border, 2, border.dtype), boxes), 2)[..., :height, :wide]
+
+
+def _smooth(cells: Tensor, boxes: _Boxes) -> Tensor:
+    """Smooth values on cells by three successive box means in x and y; beyond the frame the values are 0."""
+    down, along, reach = boxes
+    if torch.compiler.is_exporting() or cells.device.type != "cpu":  # one large product is one launch
         return down @ cells @ along
     # The smoothing matrices are banded: each part of a line is multiplied only with the cells within reach.
-    reach, (height, wide) = 3 * math.ceil(width / 2), cells.shape[-2:]
+    height, wide = cells.shape[-2:]
     of_rows = [down[own, near] @ cells[..., near, :] for own, near in _segments(height, reach)]
     rows = torch.cat(of_rows, dim=2)
     return torch.cat([rows[..., near] @ along[near, own] for own, near in _segments(wide, reach)], dim=3)

@@ -25,6 +25,7 @@ from fingerflow.ops.flow.flow_cells import CELL, trend
 from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 
 Penalty = Literal["quadratic", "charbonnier"]
+FlowModel = Literal["auto", "quadratic", "charbonnier", "edges"]
 
 # c of the data, in standard deviations of the residual due to noise. At 1, the error is a fifth less at dust, and an
 # eighth more at a jump of 1.5 px.

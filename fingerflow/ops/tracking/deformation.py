@@ -1,7 +1,12 @@
 """Correction of tracked points for the deformation of the skin since the preparation of the templates.
 
 That deformation is E = F F_0^-1 - I. F = I + du/dX is estimated by local fits in the key frame; a template was prepared
-with F_0. To first order E displaces the tracked point by D E, where D depends on the template (`Number.LEAN`).
+with F_0. A fit flattens a wave of the gradient in proportion to the square of its gauge length. The difference between
+fits over the gauge length and over half of it (`INNER_GAUGE`) thus gives what the latter still lacks, a third of that
+difference (Richardson's extrapolation). It is added to the gradient, and its effect on the position to the covariance.
+Fits over half of the gauge length have few points: what the gradient over all of it makes lean is subtracted before.
+
+To first order E displaces the tracked point by D E, where D depends on the template (`Number.LEAN`).
 Displacement that varies within a window beyond F adds a second bias: with u(p + w) = u + F w + w'Hw / 2, the mean of
 w'Hw / 2 over a square of n px is the Laplacian of u times (n^2 - 1) / 24. Both are subtracted. At n = 25 the second is
 0.02 px where the divergence of skin changes by 2 % per mm.
@@ -9,6 +14,8 @@ w'Hw / 2 over a square of n px is the Laplacian of u times (n^2 - 1) / 24. Both 
 E also leaves a residual e'Qe (`Number.BENDING`) in the window, which would count as noise. It is subtracted from the
 covariance, down to the contribution of the key frame's noise.
 """
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,10 +25,21 @@ from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.deformation import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.fields.plane_fit import Support
-from fingerflow.ops.fields.point_gradients import neighbour_planes
+from fingerflow.ops.fields.point_gradients import neighbour_planes, neighbours_support
 from fingerflow.ops.tensors import finite, products, sum_rows
 
 _TINY = 1e-20
+_BEYOND = limits.INNER_GAUGE**2 / (1 - limits.INNER_GAUGE**2)
+
+
+class Supports(NamedTuple):
+    """Weights of the points in local fits over the gauge length and over its inner part.
+
+    None where compiled kernels run, which do not need them.
+    """
+
+    outer: Support | None
+    inner: Support | None
 
 
 def correct_points(
@@ -32,7 +50,7 @@ def correct_points(
     inverse_warp: Tensor,
     window: int,
     gauge_px: float,
-    support: Support | None = None,
+    supports: Supports | None = None,
 ) -> CorrectedPoints[Tensor]:
     """Correct the positions of tracked points in K frames for the deformation of the skin, estimated from the points.
 
@@ -44,7 +62,7 @@ def correct_points(
         inverse_warp: (1 or K, N, 2, 2) F_0^-1 with which the templates were prepared.
         window: px, side of a template.
         gauge_px: diameter of the local fits.
-        support: `neighbours_support` of `start`, to save computing it.
+        supports: `supports_of` the positions `start`, to save computing them.
     """
     given = start, points, covariance, numbers, inverse_warp
     if kernels.serve(*given) and all(one.dtype == torch.float32 for one in given) and len(start):
@@ -58,18 +76,30 @@ def correct_points(
             for k in range(len(start))
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
-    expected, gradient = neighbour_planes(start, points - start, gauge_px, support)
-    # From here on components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
-    bulge = _bulge(start, gradient, window, gauge_px, support)
+    supports = supports or supports_of(start, gauge_px)
+    # Components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
-    warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
-    matrices = (one.unflatten(1, (2, 2)) for one in (warp, inverse_warp.flatten(2).mT.contiguous()))
-    unknown = products(*matrices).flatten(1, 2) - identity
-    of = numbers.mT.contiguous()
-    leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
+    inverse, of = inverse_warp.flatten(2).mT.contiguous().unflatten(1, (2, 2)), numbers.mT.contiguous()
+    lean = of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4))
+
+    def leaning(deformation: Tensor) -> Tensor:
+        return sum_rows(lean * deformation[:, None]).squeeze(2).mT
+
+    def warp_and_unknown(gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """Return F and E (K, 4, N) for displacement gradients (K, N, 2, 2)."""
+        warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
+        return warp, products(warp.unflatten(1, (2, 2)), inverse).flatten(1, 2) - identity
+
+    moved = points - start
+    expected, outer = neighbour_planes(start, moved, gauge_px, supports.outer)
+    moved = moved - leaning(warp_and_unknown(outer)[1])
+    gradient, beyond = _extrapolated(start, moved, outer, gauge_px, supports)
+    bulge = _bulge(start, gradient, window, gauge_px, supports.outer)
+    warp, unknown = warp_and_unknown(gradient)
+    off = leaning(beyond.flatten(2).mT)
     return CorrectedPoints(
-        points - (leaning + bulge).mT,
-        _without_deformation_residual(covariance, of, unknown, window),
+        points - leaning(unknown) - bulge.mT,
+        _without_deformation_residual(covariance, of, unknown, window) + off[..., None] * off[..., None, :],
         warp.mT.unflatten(2, (2, 2)),
         window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt(),
         start + expected,
@@ -82,8 +112,28 @@ def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: flo
     Displacements are (K, N, 2) px, of points at (1 or K, N, 2) px. Their sum with the result is again what the windows
     show: the mean displacement over each of them. It is 0 where the neighbours do not determine it.
     """
-    _, gradient = neighbour_planes(start, displacement, gauge_px)
-    return _bulge(start, gradient, window, gauge_px, None).mT
+    supports = supports_of(start, gauge_px)
+    _, outer = neighbour_planes(start, displacement, gauge_px, supports.outer)
+    gradient, _ = _extrapolated(start, displacement, outer, gauge_px, supports)
+    return _bulge(start, gradient, window, gauge_px, supports.outer).mT
+
+
+def supports_of(start: Tensor, gauge_px: float) -> Supports:
+    """Return the weights of the local fits around points at positions (1 or B, N, 2) px, over both gauge lengths."""
+    return Supports(neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px))
+
+
+def _extrapolated(
+    start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, supports: Supports
+) -> tuple[Tensor, Tensor]:
+    """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge of 0, and the step of the extrapolation.
+
+    `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
+    """
+    _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, supports.inner)
+    known = finite(inner - outer)
+    beyond = torch.where(known, _BEYOND * (inner - outer), 0.0)
+    return torch.where(known, inner, outer) + beyond, beyond
 
 
 def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:

@@ -234,6 +234,11 @@ def find_templates(
     ):
         followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
+    if kernels.fused_serves(templates.samples, current, guess):
+        from fingerflow.kernels.tensors.fused_tracking import find_templates as fused  # needs Triton
+
+        given = templates, current, guess, None, variance, rounds, *settings
+        return Found(*[one[0] for one in fused(*given)[:5]])
     return in_rounds(lambda some, near: _step(some, current, near, variance, *settings), templates, guess, rounds)
 
 
@@ -242,11 +247,16 @@ def in_rounds(
 ) -> Found:
     """Repeat a registration step until all points (B, N, 2) have converged, at most `rounds` times.
 
-    Points that have not converged take another step from the end of the previous one. More than one step depends on
-    data and cannot be exported.
+    More than one step depends on data and cannot be exported.
     """
-    found = step(templates, prediction)
-    for _ in range(rounds - 1):
+    return further_rounds(step, templates, step(templates, prediction), rounds - 1)
+
+
+def further_rounds(
+    step: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, rounds: int
+) -> Found:
+    """Repeat a registration step for points that have not converged, each from the end of the previous step."""
+    for _ in range(rounds):
         lost = found.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break
@@ -276,13 +286,14 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
     """Return `found` (B, N) with the results `again` of points `chosen` (B, L) inserted where `wanted` (B, N)."""
+    return Found(*[inserted(whole, part, chosen, wanted) for whole, part in zip(found, again, strict=True)])
 
-    def one(whole: Tensor, part: Tensor) -> Tensor:
-        extra = [1] * (whole.ndim - 2)
-        index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
-        return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
 
-    return Found(*[one(whole, part) for whole, part in zip(found, again, strict=True)])
+def inserted(whole: Tensor, part: Tensor, chosen: Tensor, wanted: Tensor) -> Tensor:
+    """Return `whole` (B, N, ...) with the rows `part` (B, L, ...) of points `chosen` inserted where `wanted` (B, N)."""
+    extra = [1] * (whole.ndim - 2)
+    index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
+    return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
 
 
 def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
@@ -453,7 +464,7 @@ def _step(
     # A search does not end with a step out of the frame or into it.
     within = (of[Number.INSIDE.value] > 0) & (ends | (begins & ~converged))
     textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
-    status = torch.zeros_like(given, dtype=torch.uint8)
+    status = torch.zeros_like(given, dtype=torch.int32)  # GPU runtimes compare no bytes
     # From the last reason to the first, so that the first that applies remains.
     for reason, fine in (
         (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
@@ -474,7 +485,7 @@ def _step(
         (found + lost).transpose(1, 2),
         torch.where(given & within & readable & textured & converged, error, torch.nan).squeeze(1),
         (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),
-        status.squeeze(1),
+        status.squeeze(1).to(torch.uint8),
         estimate.transpose(1, 2),
     )
 

@@ -21,6 +21,7 @@ from fingerflow.ops.tracking.templates import (
     check_points,
     find_templates,
     first_of,
+    inserted,
     inverse_2x2,
     prepare_templates,
     replaced,
@@ -69,7 +70,8 @@ def track_points(
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
-    are deformed and found again. Lost points are also searched again, at the position that their neighbours predict.
+    are deformed and found again, then corrected for what is left. Lost points are also searched again, at the position
+    that their neighbours predict.
 
     Gradients flow from `points` of the result to the images and to the argument `points` (implicit differentiation,
     first order); error, covariance and status have none.
@@ -190,18 +192,20 @@ def in_passes(
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
             straight = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
-            corrected = correct_points(
-                *(start, found.points, found.covariance, numbers, straight), window, _GAUGE * window
-            )
-            found = found._replace(points=corrected.points, covariance=corrected.covariance)
+            correct = partial(correct_points, window=window, gauge_px=_GAUGE * window)
+            corrected = correct(start, found.points, found.covariance, numbers, straight)
             warp = corrected.warp.contiguous()  # as `_like_passed` declares
             lost = found.status >= TrackStatus.NOT_CONVERGED
             renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
             if renewed.any():
                 chosen = first_of(renewed)
                 near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)
-                again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
+                again, others = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
                 found = replaced(found, again, chosen, renewed)
+                numbers = inserted(numbers, others, chosen, renewed)
+                known = torch.where(renewed[..., None, None], inverse_2x2(warp), straight)
+                corrected = correct(start, found.points, found.covariance, numbers, known)
+            found = found._replace(points=corrected.points, covariance=corrected.covariance)
     return PassResult(found.points, found.error, found.covariance, found.status, warp)
 
 

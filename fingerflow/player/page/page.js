@@ -2,6 +2,7 @@
 const $ = id => document.getElementById(id);
 const TYPES = { uint8: Uint8Array, float32: Float32Array };
 const LEAST_RANGE = 0.001;  // of divergence: below it, noise would be coloured
+let shown = null;  // label, unit, factor and decimals of variables, which do not change
 const POINTS = { tracked: "#ffd54f", outside: "#ffd54f", lacking: "#111" };
 let range = LEAST_RANGE, inPercent = false, over = false;
 
@@ -195,7 +196,7 @@ function numbers(live) {
   const why = kinds.map(([name, count]) => `${count} ${name.replaceAll("_", " ")}`).join(", ");
   const cells = [
     [over ? "Rate, whole stream" : "Rate", text(over ? live.rate_hz : live.rate, 1), "frames/s"],
-    ["Latency, median", text(ms.median, 2), "ms"],
+    ["Latency, median", text(ms.median, 2), "ms", !over && live.behind.endsWith("behind")],
     ["Latency, 99 %", text(ms.p99, 2), "ms"],
     ["Latency, worst", text(live.latency_ms.worst, 1), "ms"],
     ["Frames", live.processed, `of ${live.frames_in}`],
@@ -234,30 +235,43 @@ function truth(live) {
   }).join("");
 }
 
+// What outputs were sent, and when: from the camera's stamp to the end of sending.
+function outputs(live) {
+  $("outputsCard").hidden = !live.outputs.length;
+  $("outputs").innerHTML = live.outputs.map(({ output, sent, overtaken, failed, latency_ms }) => {
+    const cells = [sent, overtaken, failed, text(latency_ms.median, 2), text(latency_ms.p99, 2)];
+    const bad = place => (place == 1 && overtaken) || (place == 2 && failed);
+    const name = output.replace(/[&<>]/g, sign => `&#${sign.charCodeAt()};`);
+    return `<tr><th>${name}</th>${cells.map((cell, i) => `<td${bad(i) ? ' class="bad"' : ""}>${cell}</td>`).join("")}</tr>`;
+  }).join("");
+}
+
 const STATES = { waiting: "waiting for frames", running: "running", ended: "ended", failed: "stopped by an error" };
 
-function say(state, sentence) {
-  $("state").textContent = STATES[state] || state;
-  $("state").className = state == "running" ? "good" : state == "failed" || state == "no answer" ? "gone" : "";
+function say(state, sentence, behind = "") {
+  $("state").textContent = (STATES[state] || state) + (behind && `, ${behind}`);
+  $("state").className = state == "running" ? behind ? "late" : "good" : state == "failed" || state == "no answer" ? "gone" : "";
   $("said").textContent = sentence; $("said").hidden = !sentence;
   $("restart").disabled = state != "running";
 }
 
 async function refresh() {
   try {
+    shown ||= await (await fetch("shown")).json();
     const answer = await fetch("live");
     if (answer.status == 403) {  // another player answers here, whose token this page does not have
       say("closed", "This page belongs to an earlier stream: open the address that the player has printed.");
       return;
     }
     if (!answer.ok) throw new Error(answer.status);
-    const live = unpack(await answer.arrayBuffer());
+    const units = Object.entries(shown).map(([name, one]) => [name, inPercent ? { ...one, ...one.percent } : one]);
+    const live = { ...unpack(await answer.arrayBuffer()), shown: Object.fromEntries(units) };
     $("unit").hidden = !live.shown.divergence.percent;
-    if (inPercent) for (const one of Object.values(live.shown)) Object.assign(one, one.percent);
     $("unit").textContent = `Deformation in ${live.shown.divergence.unit}`;
     $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;
     numbers(live);
     truth(live);
+    outputs(live);
     if (live.data.topography_view) { drawTopography(live); drawContact(live); }
     trace(live, "areas", "Contact area", [["gross_contact_area", "#8fb8dc", "gross"], ["real_contact_area", "#1668b0", "real"]]);
     trace(live, "forces", "Force", Object.entries(FORCES).map(([name, style]) => [name, style, live.shown[name].label.split(" ")[0]]));
@@ -265,7 +279,7 @@ async function refresh() {
     const frames = `after ${live.processed} frames, ${live.seconds.toFixed(1)} s`;
     const where = live.results ? ` Results: ${live.results}` : "";
     say(live.state, live.state == "ended" ? `The stream has ended ${frames}.${where}`
-      : live.state == "failed" ? `The stream was stopped ${frames}: ${live.said}${where}` : "");
+      : live.state == "failed" ? `The stream was stopped ${frames}: ${live.said}${where}` : "", live.state == "running" ? live.behind : "");
     over = live.state == "ended" || live.state == "failed";
     if (over) return;
   } catch (error) {

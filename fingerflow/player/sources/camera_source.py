@@ -1,10 +1,8 @@
-"""Source of frames from a camera, given as any callable that returns frames."""
+"""Source of frames from a camera: of a kind that a module of this folder opens, or any callable that returns frames."""
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,13 +10,18 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
+from fingerflow.player.addresses import kinds, open_address
+from fingerflow.player.named_objects import load_callable
 from fingerflow.player.sources.source import Source
+
+_SOURCES = __name__.rpartition(".")[0]
 
 
 class CameraSource:
     """Source of frames that calls a function to grab each frame from a camera.
 
-    It returns the next frame, or (ok, frame) as in OpenCV; its `close` is called if it has one.
+    It returns the next frame, (frame, stamp) with the camera's own time of that frame in s, or (ok, frame) as in
+    OpenCV; its `close` is called if it has one.
 
     Args:
         grab: the callable.
@@ -29,6 +32,7 @@ class CameraSource:
 
     def __init__(self, grab: Callable[[], Any], name: str) -> None:
         self._grab, self._name = grab, name
+        self.stamp = math.nan
 
     def read(self) -> Array | None:
         """Return the next frame (H, W); None after the last frame.
@@ -36,6 +40,12 @@ class CameraSource:
         Raises OSError where the camera reports that it has no frame now, and PlayerError where it returns another type.
         """
         frame = self._grab()
+        self.stamp = math.nan
+        if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], np.ndarray):
+            frame, stamp = frame
+            if not isinstance(stamp, (int, float, np.integer, np.floating)):
+                raise self._refused(f"a frame with the time stamp {stamp!r}")
+            self.stamp = float(stamp)
         if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], (bool, np.bool_)):
             there, frame = frame
             if not there:
@@ -53,24 +63,26 @@ class CameraSource:
     def _refused(self, given: str) -> PlayerError:
         return PlayerError(
             f"camera {self._name!r}: gave {given} in place of a frame; it must return a NumPy array (H, W), "
-            "(ok, array), or None at the end: for a list numpy.asarray(list, dtype) with the depth of the bundle"
+            "(array, time stamp in s), (ok, array), or None at the end: for a list numpy.asarray(list, dtype) with the "
+            "depth of the bundle"
         )
 
 
-def open_camera(name: str) -> Source:
-    """Open the camera given as ``module:factory``, where the factory returns a callable for `CameraSource`.
+def open_camera(camera: str | Callable[[], Any]) -> Source:
+    """Open a camera: an address such as "opencv:0", ``module:factory``, or the factory itself.
 
-    Raises PlayerError where the factory cannot be imported or does not return a callable.
+    The factory returns a callable for `CameraSource`. Raises PlayerError where it cannot be opened.
     """
-    module, _, factory = name.partition(":")
-    sys.path.insert(0, os.getcwd())
-    try:
-        make = getattr(importlib.import_module(module), factory)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise PlayerError(f"camera {name!r}: {error}; give MODULE:FACTORY of a module in this folder") from None
-    finally:
-        sys.path.pop(0)
-    grab = make()
+    name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")
+    if isinstance(camera, str):
+        if camera.partition(":")[0] in kinds(_SOURCES):
+            source: Source = open_address(_SOURCES, "camera", camera)
+            return source
+        try:
+            camera = load_callable(camera)
+        except PlayerError as error:
+            raise PlayerError(f"camera {name!r}: {error}") from None
+    grab = camera()
     if not callable(grab):
         raise PlayerError(f"camera {name!r}: its factory gave {type(grab).__name__}; it must return a callable")
     return CameraSource(grab, name)

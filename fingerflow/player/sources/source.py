@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +22,7 @@ class Source(Protocol):
     """
 
     live: bool  # True if frames arrive whether or not a buffer is free
+    stamp: float  # time of the last frame by the clock of the camera, s; NaN if it gives none
 
     def read(self) -> Array | None:
         """Return the next frame (H, W); None after the last frame."""
@@ -49,7 +51,7 @@ class SourceRequest(NamedTuple):
 class RecordedFrames:
     """Source of the frames (H, W) of a file, read by an iterator; `close` closes the file."""
 
-    live = False
+    live, stamp = False, math.nan
 
     def __init__(self, frames: Iterator[Array], close: Callable[[], None] = lambda: None) -> None:
         self._frames, self.close = frames, close

@@ -12,6 +12,8 @@ from fingerflow.player.sources.synthetic_truth import Pose, expected, median_div
 from fingerflow.player.stream_scene import StreamScene
 from fingerflow.schema.views import View
 
+_NOISES, _NOISE_STEP = 4099, 1009  # different cuts of the noise, and of two consecutive frames; primes
+
 
 def side_by_side(height: int, width: int) -> StreamScene:
     """Return the scene of the synthetic source: topography view on the left, contact view on the right."""
@@ -29,13 +31,14 @@ class Synthetic:
 
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
     The divergence in a stream differs from that and may be negative, because each point's displacement counts from its
-    own onset. Only half a period is stored; it is played forwards and backwards.
+    own onset. Only half a period is stored; it is played forwards and backwards, each frame with its own noise of one
+    grey level of 8 bits, without which the way back would count as copies of frames.
 
     Attributes:
         background: (H, W), the glass without a finger.
     """
 
-    live = False
+    live, stamp = False, math.nan
     half_period = 60  # frames
 
     def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
@@ -48,6 +51,8 @@ class Synthetic:
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
         self._ring = np.zeros((self.half_period, *shape), dtype)
         gain = 2.0 ** (bit_depth - 8)
+        noise = np.random.default_rng(0).normal(0, gain, math.prod(shape) + _NOISES)
+        self._noise = np.round(noise).clip(-4 * gain, 4 * gain).astype(np.int64).astype(dtype)  # modulo its range
         self._expected: list[dict[str, float]] = []
         self._growing: list[float] = []  # divergence in the first half period, and in those after it
         self._grown: list[float] = []
@@ -72,7 +77,9 @@ class Synthetic:
 
     def read(self) -> Array:
         """Return the next frame (H, W)."""
-        frame: Array = self._ring[self._buffer_index(self._next)]
+        drawn = self._ring[self._buffer_index(self._next)]
+        begin = self._next * _NOISE_STEP % _NOISES
+        frame: Array = drawn + self._noise[begin : begin + drawn.size].reshape(drawn.shape)
         self._next += 1
         return frame
 

@@ -35,11 +35,18 @@ def without_preamble(path: Path, text: str) -> Content:
     """
     if _END_OF_HEADER in text:
         return _of_labview(path, text)
-    lines = [line for line in islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT) if is_read(line.group())]
-    cells = [cells_of(line.group(), separator_of(line.group())) for line in lines]
-    widths = [len(row) if is_numeric(row) else 0 for row in cells]
-    runs = (number for number in range(len(widths) - _RUN + 1) if len(set(widths[number : number + _RUN])) == 1)
-    first = next((number for number in runs if widths[number]), 0)
+    lines, cells, widths = [], [], []
+    for line in islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT):
+        if is_read(line.group()):
+            row = cells_of(line.group(), separator_of(line.group()))
+            lines.append(line)
+            cells.append(row)
+            widths.append(len(row) if is_numeric(row) else 0)
+            if len(widths) >= _RUN and {*widths[-_RUN:]} == {widths[-1]} - {0}:
+                break
+    else:
+        return Content(text)
+    first = len(widths) - _RUN
     if first < 2:
         return Content(text)
     above, higher = cells[first - 1], cells[first - 2]

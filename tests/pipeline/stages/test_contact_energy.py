@@ -10,9 +10,10 @@ from scipy.spatial.distance import cdist
 
 from bench.suites.stated import other_presses
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergy, Solid, perimeter
+from fingerflow.pipeline.stages.strain import contact_energy
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies, Solid
 from fingerflow.synthetic import Press
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import Border
 
 PRESS = Press(n_frames=60, frame_rate=60.0)
 TWICE = other_presses()["twice the deformation"]
@@ -52,7 +53,7 @@ def contact_of(press: Press, frame: int, measure: str = "green_lagrange") -> Con
 
 def measured(
     contact: Contact, displacement: Array, std_mm: float, shared: Array | None = None, measure: str = "green_lagrange"
-) -> FrameEnergy:
+) -> FrameEnergies:
     """The energy by displacements with this deviation, which correlate as in `shared` (N, N)."""
     points = len(contact.position)
     pairs = np.argwhere(np.triu(np.zeros((points, points)) if shared is None else shared, 1) > 0)
@@ -60,7 +61,7 @@ def measured(
     whole = ContactEnergy(Solid(measure, 1.0, 0.4), pairs, correlation, points)
     counts = np.ones((1, points), dtype=bool)
     variance = np.full((1, points), std_mm**2)
-    return next(whole.of_frames(contact.position[None], displacement[None], variance, counts, contact.border))
+    return whole.of_frames(contact.position[None], displacement[None], variance, counts, contact.border)
 
 
 @pytest.mark.parametrize("measure", ["green_lagrange", "infinitesimal"])
@@ -70,7 +71,7 @@ def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -
 
     No point lies within 0.1 mm of the border; the skin there has 25 to 50 % of the energy."""
     contact = contact_of(press, frame, measure)
-    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy == pytest.approx(
+    assert measured(contact, contact.displacement, 1e-5, measure=measure).energy[0] == pytest.approx(
         contact.energy, rel=5e-3
     )
 
@@ -84,7 +85,7 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
     apart = [cdist(one, one) / WINDOW_MM for one in np.split(contact.position, 2, axis=1)]
     shared = np.clip(1 - apart[0], 0, 1) * np.clip(1 - apart[1], 0, 1)
     root = np.linalg.cholesky(shared + 1e-9 * np.eye(len(shared)))
-    deviation, step = 7e-4, BORDER_MM * np.sqrt(2 / perimeter(contact.border.semi_axes)[0])
+    deviation, step = 7e-4, contact_energy._RADIUS_MM
     size = np.sqrt(np.mean(contact.displacement**2))
     z, ratios = [], []
     for _ in range(DRAWS):
@@ -92,8 +93,8 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
         moved = contact.displacement * (1 + 4e-4 / size * random.standard_normal()) + noise
         border = contact.border._replace(semi_axes=contact.border.semi_axes + step * random.standard_normal())
         found = measured(contact._replace(border=border), moved, deviation, shared)
-        z.append((found.energy - contact.energy) / found.deviation)
-        ratios.append(found.energy / contact.energy)
+        z.append((found.energy[0] - contact.energy) / found.deviation[0])
+        ratios.append(found.energy[0] / contact.energy)
     assert np.mean(ratios) == pytest.approx(1, abs=0.04)
     assert 0.58 < np.mean(np.abs(z) < 1) < 0.80
     assert 0.90 < np.mean(np.abs(z) < 2) <= 1.0

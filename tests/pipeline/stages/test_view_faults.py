@@ -22,7 +22,7 @@ def test_a_contact_on_lit_glass_has_no_fault() -> None:
     assert view_faults.of_sweat(RIDGES, PERIOD) == []
     assert view_faults.of_shadow(FRAME / LIGHT, REGION, PERIOD) == []
     assert view_faults.of_background_lines(LIGHT) == []
-    assert view_faults.of_moved_glass(FRAME, LIGHT, REGION, 0) == []
+    assert view_faults.of_moved_glass([(0, FRAME)], LIGHT, REGION) == []
     assert view_faults.of_strip(np.array([[3.0, 2.0], [np.nan, np.nan]]), np.array([18.0, 0.0]), 0) == []
 
 
@@ -57,7 +57,7 @@ def test_lines_of_the_background_without_light() -> None:
 @pytest.mark.parametrize("shift", [(5, 0), (-3, 4)])
 def test_light_that_has_moved(shift: tuple[int, int]) -> None:
     frame = np.roll(LIGHT, shift, (1, 0)) * np.where(RIDGES, 0.5, 1.0)
-    said = view_faults.of_moved_glass(frame, LIGHT, REGION, 12)[0]
+    said = view_faults.of_moved_glass([(3, FRAME), (12, frame)], LIGHT, REGION)[0]
     assert f"frame 12 ({shift[0]:+d} px along x, {shift[1]:+d} along y)" in said
 
 

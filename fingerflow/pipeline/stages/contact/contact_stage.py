@@ -163,6 +163,17 @@ class ContactStage(Stage):
         largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
+    def touched(self) -> Tensor:
+        """Return the union (1, 1, h, w) of the gross contacts in frames sampled from the whole recording."""
+        regions = [self._region_of(int(frame)) for frame in self._sampled_frames()]
+        return torch.stack(regions).any(0)
+
+    def _sampled_frames(self) -> NDArray[np.intp]:
+        usable = np.flatnonzero(self._usable)
+        looks = np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int)
+        result: NDArray[np.intp] = usable[np.unique(looks)]
+        return result
+
     def first_and_largest(self, margin_px: int) -> Tensor:
         """Return the union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame, dilated.
 
@@ -189,12 +200,14 @@ class ContactStage(Stage):
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.of_sweat(contact.real_contact_mask[0, 0], period))
         usable = np.flatnonzero(self._usable)
-        for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1]))):
-            picture = self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark
-            number = frame + self.inputs.scene.recording.first_frame
-            if moved := view_faults.of_moved_glass(picture, light, region, number):
-                self.warnings.extend(moved)
-                break
+        pictures = (
+            (
+                frame + self.inputs.scene.recording.first_frame,
+                self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark,
+            )
+            for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
+        )
+        self.warnings.extend(view_faults.of_moved_glass(pictures, light, region))
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
@@ -237,8 +250,7 @@ class ContactStage(Stage):
             known = np.where(self._usable, normal_force, np.nan)
             if np.isfinite(known).any():
                 return int(np.nanargmax(known))
-        usable = np.flatnonzero(self._usable)
-        looks = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
+        usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
         light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
         if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
             light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)

@@ -4,6 +4,8 @@ Each check returns warnings that name the cause. Pictures are (h, w) of the cont
 without the dark level, 0 where it is not lit; `share` is the share of that light in a frame, NaN where it is not lit.
 """
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -95,15 +97,16 @@ def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
 
 def of_background_lines(light: Picture) -> list[str]:
     """Return a warning if lines of the background differ in light from the lines beside them, as in a torn picture."""
-    full = float(np.quantile(light, 0.99))
+    full = _full_light(light)
     if not full > 0:
         return []
     bright = np.maximum(light, 0.02 * full)
     step = np.abs(np.diff(np.log(bright), axis=0))
     lit = np.maximum(bright[1:], bright[:-1]) > 0.3 * full
-    wide = lit.sum(1) > 0.25 * light.shape[1]
-    torn = [bool(wide[row]) and float(np.median(step[row][lit[row]])) > _STEP for row in range(len(step))]
-    if not any(torn):
+    count = lit.sum(1)
+    # The median step is above _STEP if more than half of the steps are.
+    torn = (count > 0.25 * light.shape[1]) & (2 * (lit & (step > _STEP)).sum(1) > count)
+    if not torn.any():
         return []
     row = int(np.argmax(torn)) + 1
     return [
@@ -112,24 +115,32 @@ def of_background_lines(light: Picture) -> list[str]:
     ]
 
 
-def of_moved_glass(frame: Picture, light: Picture, region: Mask, number: int) -> list[str]:
+def of_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
     """Return a warning if the edges of the light have moved between the background and a frame, as after a bump.
 
-    `frame` is without the dark level. Edges within the contact region do not count.
+    `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
+    region do not count.
     """
-    shift, better = _shift_of_glass(frame, light, region)
-    if not (np.hypot(*shift) >= _MOVED_PX and better < _BETTER):
+    smooth, (y, x) = _smooth(light), _edges_of_glass(light, region)
+    if len(y) < _EDGE_PX:
         return []
-    return [
-        f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame {number} "
-        f"({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and edges of the "
-        f"light count as contact. Record the empty glass again, or leave these frames out"
-    ]
+    for number, frame in frames:
+        shift, better = _shift_of_glass(_smooth(frame)[y, x], smooth, y, x)
+        if np.hypot(*shift) >= _MOVED_PX and better < _BETTER:
+            return [
+                f"the light on the glass has moved by {np.hypot(*shift):.0f} px between the background and frame "
+                f"{number} ({shift[0]:+d} px along x, {shift[1]:+d} along y): the camera or the glass was bumped, and "
+                f"edges of the light count as contact. Record the empty glass again, or leave these frames out"
+            ]
+    return []
 
 
 def described(frame: Picture, light: Picture, number: int) -> str:
     """Return what a frame without a detected finger shows in place of one, as a sentence; "" if nothing is found."""
-    for known_cause in (of_background_lines(light), of_moved_glass(frame, light, np.zeros(light.shape, bool), number)):
+    for known_cause in (
+        of_background_lines(light),
+        of_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
+    ):
         if known_cause:
             return known_cause[0]
     share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
@@ -162,32 +173,46 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     return "; ".join(said)
 
 
-def _shift_of_glass(frame: Picture, light: Picture, region: Mask) -> tuple[tuple[int, int], float]:
-    """Return the shift (x, y), px, of the light in a frame, and the residual with it relative to that without it."""
-    smooth = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 1.0)
-    full = float(np.quantile(smooth, 0.99))
+def _edges_of_glass(light: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return y and x of up to 2000 pixels near edges of the light, outside the contact region."""
+    smooth = _smooth(light)
+    full = _full_light(smooth)
     slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
     far = cv2.dilate(region.astype(np.uint8), _disc(2 * _REACH_PX)) == 0
     inner = np.zeros_like(far)
     inner[_REACH_PX:-_REACH_PX, _REACH_PX:-_REACH_PX] = True
     near = cv2.dilate((slope > _EDGE * full).astype(np.uint8), _disc(3)).astype(bool)
     y, x = np.nonzero(near & far & inner)
-    if len(y) < _EDGE_PX:
-        return (0, 0), 1.0
-    step = max(1, len(y) // 4000)
-    y, x = y[::step], x[::step]
-    seen = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)[y, x]
-    best, least, still = (0, 0), np.inf, np.inf
-    for down in range(-_REACH_PX, _REACH_PX + 1):
-        for right in range(-_REACH_PX, _REACH_PX + 1):
-            given = smooth[y - down, x - right]
-            gain = float(seen @ given) / max(float(given @ given), 1e-9)
-            residual = float(np.abs(seen - gain * given).mean())
-            if (right, down) == (0, 0):
-                still = residual
-            if residual < least:
-                best, least = (right, down), residual
-    return best, least / max(still, 1e-9)
+    step = max(1, len(y) // 1000)
+    return y[::step], x[::step]
+
+
+def _shift_of_glass(
+    seen: Picture, light: Picture, y: NDArray[np.intp], x: NDArray[np.intp]
+) -> tuple[tuple[int, int], float]:
+    """Return the shift (x, y), px, of the light in a frame, and the residual with it relative to that without it.
+
+    `seen` are the frame's pixels at y and x.
+    """
+    side = 2 * _REACH_PX + 1
+    lines = np.lib.stride_tricks.sliding_window_view(light.ravel(), side)
+    residual, even = np.empty((side, side)), np.full(len(seen), 1 / len(seen), seen.dtype)
+    for k in range(side):
+        # Pixels beside each of these, in one line; the last one is that of the largest shift to the left.
+        given = lines[(y + _REACH_PX - k) * light.shape[1] + x - _REACH_PX]
+        gain = seen @ given / np.maximum(np.einsum("nk,nk->k", given, given), 1e-9)
+        residual[k] = (even @ np.abs(seen[:, None] - gain * given))[::-1]
+    down, right = np.unravel_index(int(residual.argmin()), residual.shape)
+    least = residual[down, right] / max(residual[_REACH_PX, _REACH_PX], 1e-9)
+    return (int(right) - _REACH_PX, int(down) - _REACH_PX), float(least)
+
+
+def _full_light(light: Picture) -> float:
+    return float(np.quantile(light[::4, ::4], 0.99))
+
+
+def _smooth(picture: Picture) -> Picture:
+    return np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0))
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -48,7 +48,8 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
         now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (seeded == frame))
         earlier = np.flatnonzero(np.isfinite(places + now).all(1) & (seeded != frame))
-        if not len(earlier):
+        if not len(earlier):  # all were lost, as when a finger is lifted: the skin there is related to no other
+            places[new] = now[new]
             continue
         distance, near = cKDTree(now[earlier]).query(now[new], k=np.arange(1, min(_NEIGHBOURS, len(earlier)) + 1))
         weight = 1 / np.maximum(distance, 1e-6) ** 2

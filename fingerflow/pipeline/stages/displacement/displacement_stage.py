@@ -241,21 +241,13 @@ class DisplacementStage(Stage):
         """Return the variance (n, N) px^2 of displacement components due to image noise, given the variance `now` of
         positions.
 
-        The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
-        of them is the position `now` itself.
-
-        With a key frame as template, half of a position's variance is noise of the template, the same in every frame.
-        It cancels in the difference of two positions, unless one of them is that of the key frame, which is exact. With
-        the previous frame as template, variances add up.
+        With the previous frame as template, variances add up.
         """
-        rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
         if self._template == "previous":
+            rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
             added: NDArray[np.float32] = abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
             return added
-        then, earlier = (np.where(one > 0, one, now) for one in (touch.variance, touch.earlier))
-        since = now + np.square(touch.share) * then
-        result: NDArray[np.float32] = (np.where(touch.begins, rest * now, since) + rest * earlier) / 2
-        return result
+        return touch.displacement_variance(now)
 
     def _find_errors_of_onset(self) -> None:
         """Compute the covariance (N, 2, 2) mm^2 of onset positions, from timing errors and the speeds of points at

@@ -3,7 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.field_limits import LEAST_SHARE
+
 _NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # width of a view of skin: from a few ridges to a hand
+_FEW_RIDGES_MM2 = 1.0
+_IMPULSES = 5e-4  # share of the pixels; with twice as many 0.3 % of the positions are off by four deviations
 _JUMP = 0.25  # share of the view's area: no contact grows by as much from one frame to the next
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points, below which a warning is given
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
@@ -212,10 +216,11 @@ def of_frames(frames: int) -> list[str]:
 def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
     """Return warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
 
-    `view_area` is the area of the view, mm^2.
+    `view_area` is the area of the view, mm^2. Of a contact that has less than a few ridges, the deviation of the gross
+    area says so.
     """
     said = []
-    more = np.flatnonzero((real > gross) & (gross > 0))
+    more = np.flatnonzero((real > gross) & (gross > _FEW_RIDGES_MM2))
     if len(more):
         frame = more[0]
         said.append(
@@ -278,6 +283,58 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
         f"points were followed to where their window differs from that in which they were seeded, in {len(some)} "
         f"frames, the first is {some[0] + first_frame}, up to {np.max(share[some]):.1%} of them: their positions are "
         f"NaN there (status window_differs)"
+    ]
+
+
+def of_impulses(share: float) -> list[str]:
+    """Return a warning if a `share` of the pixels of the topography view is far from all pixels around."""
+    if share <= _IMPULSES:
+        return []
+    return [
+        f"{share:.2%} of the pixels of the topography view differ from all pixels around (salt and pepper): points are "
+        f"lost, and positions of others may be off by more than stated. Is the sensor defective, or the file damaged?"
+    ]
+
+
+def of_dust(share: Series, first_frame: int) -> list[str]:
+    """Return a warning if something that rests on the glass holds points back; `share` (frames,) is that of them."""
+    some = np.flatnonzero(share > 0)
+    if not len(some):
+        return []
+    return [
+        f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up to "
+        f"{np.max(share[some]):.1%} of the points were held back, in {len(some)} frames, the first is "
+        f"{some[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
+    ]
+
+
+def of_unknown_fields(median: Series, known: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
+    """Return a warning if medians are NaN in frames whose contact is more than two gauge lengths wide.
+
+    `median` and `known` (frames,) are a median over the contact, and the share of the contact where fields are known;
+    `gross` is the gross area, mm^2.
+    """
+    unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
+    if not len(unknown):
+        return []
+    frame = unknown[0]
+    share = float(np.nan_to_num(known[frame]))
+    return [
+        f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
+        f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are needed "
+        f"(field_coverage). The other points are lost (status says why), or none were seeded there: see "
+        f"[views.topography] and its region, [stream] region, tracking.points and fields.gauge_length_mm"
+    ]
+
+
+def of_unknown_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
+    """Return a warning if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide."""
+    unknown = np.flatnonzero(np.isnan(energy) & (gross > np.pi * gauge_mm**2))
+    if not len(unknown):
+        return []
+    return [
+        f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: the "
+        f"strain is known in less than half of the area of the triangles there. Their points are lost (status says why)"
     ]
 
 

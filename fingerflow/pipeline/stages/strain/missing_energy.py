@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+_OF_A_POINT = 6  # triangles that are lost with a point
+
 
 class MissingEnergy:
     """Estimator of the error of the strain energy that triangles with unknown strain cause.
@@ -10,7 +12,9 @@ class MissingEnergy:
     Frames must be added in order of time.
 
     Unknown triangles count with the mean density of the others (`ops.fields.triangle_strain`), but their last known
-    density was different. A point that is lost for a frame has some six triangles: on a slide up to 2 % of the energy.
+    density was different, and has changed since. The error has two parts: the difference of both energies, and the
+    spread of the density over the known triangles times the area of the lost ones. The triangles of a lost point, some
+    six, are all wrong in the same way: their areas add up, those of different points by their squares.
     """
 
     def __init__(self, areas: NDArray[np.floating]) -> None:
@@ -33,8 +37,12 @@ class MissingEnergy:
             when = np.maximum.accumulate(np.where(known[:, some], number, 0), axis=0)
             last = np.where(when > 0, energies[when - 1, some], self._last[some])
             for k in np.flatnonzero(seen.any(1) & lost.any(1)):
-                mean = energies[k, seen[k]].sum() / self._area[seen[k]].sum()
-                result[k] = abs(last[k, lost[k, some]].sum() - mean * self._area[lost[k]].sum())
+                seen_area = self._area[seen[k]]
+                mean = energies[k, seen[k]].sum() / seen_area.sum()
+                gone = self._area[lost[k]]
+                spread = seen_area @ np.square(density[k, seen[k]] - mean) / seen_area.sum()
+                change = last[k, lost[k, some]].sum() - mean * gone.sum()
+                result[k] = np.sqrt(change**2 + _OF_A_POINT * spread * np.square(gone).sum())
         some = np.flatnonzero(known.any(0))
         self._last[some] = energies[len(energies) - 1 - known[::-1].argmax(0)[some], some]
         return result

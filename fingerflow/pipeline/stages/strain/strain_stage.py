@@ -19,6 +19,7 @@ from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
+from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
@@ -76,7 +77,8 @@ class StrainStage(Stage):
             self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
         corners = torch.from_numpy(skin.corners).long()
-        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].numpy()
+        # A triangle with a corner that was lost when it touched has no area, and no strain.
+        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].nan_to_num(0.0).numpy()
         self._corners = corners.to(device)
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
@@ -84,7 +86,7 @@ class StrainStage(Stage):
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = Border.of(series)
+        self._border = steady_border(Border.of(series), self.inputs.times)
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -134,17 +136,18 @@ class StrainStage(Stage):
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
-        field = self._onset_field(batch.of(DisplacementStage), frames)
+        displacement, variance, counts = self._onset_field(batch.of(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
-        known = np.isfinite(between)
-        for frame, whole, enough in zip(frames, self._whole.of_frames(*field, border), known, strict=True):
-            if enough and np.isfinite(whole.energy):
-                self._energy[frame], self._energy_std[frame] = whole.energy, whole.deviation
+        counts &= np.isfinite(between)[:, None]
+        whole = self._whole.of_frames(position, displacement, variance, counts, border)
+        known = np.isfinite(whole.energy)
+        self._energy[frames[known]] = whole.energy[known]
+        self._energy_std[frames[known]] = whole.deviation[known]
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
-        """Return position, displacement, variance and mask of the points for `ContactEnergy.of_frames`.
+    ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
+        """Return displacement, variance and mask of the points for `ContactEnergy.of_frames`.
 
         The mask is False for all points if displacements are not relative to the onset of contact.
         """
@@ -153,15 +156,16 @@ class StrainStage(Stage):
         counts[:, stage.entered] = False
         counts &= stage.by_onsets and self._begins_free
         variance = moved.variance + np.trace(stage.of_onset, axis1=1, axis2=2) / 2
-        return self.results["position"][frames], moved.displacement, variance, counts
+        return moved.displacement, variance, counts
 
     def _rim_area(
         self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
     ) -> NDArray[np.float64]:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
-        first, second, third = (position[:, one] for one in self._skin.triangles.T)
-        (ax, ay), (bx, by) = ((one - first).T for one in (second, third))
-        areas = abs(ax * by - ay * bx).T / 2
+        # By components: gathering pairs of numbers takes twice as long.
+        first, second, third = (position.transpose(2, 0, 1).take(one, axis=2) for one in self._skin.triangles.T)
+        (ax, ay), (bx, by) = second - first, third - first
+        areas = abs(ax * by - ay * bx) / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
         result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
         return result
@@ -180,7 +184,10 @@ class StrainStage(Stage):
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
-        nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
+        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+        nothing = gross == 0
+        gauge, first_frame = self.inputs.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_unknown_energy(self._energy, gross, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,
             "strain_energy_std": self._energy_std,

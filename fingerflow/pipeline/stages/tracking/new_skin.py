@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction, in displacements since the last call: until the next call but one
+_LEFT = 0.1  # share of the points, below which the skin that they were on has gone
 _STRIDE = 0.25  # windows between samples upstream of the contact
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -64,6 +65,9 @@ class NewSkin:
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
+        Where hardly a point is left, as after a finger has been lifted and touches elsewhere, all skin in contact is
+        new but for that around the points which are left.
+
         Points are needed where new skin is in contact, or will be before the next call but one if points and contact
         keep their speeds. It must lie farther than half a window from any point, over an area of at least a window.
         Points are then seeded in all new skin that is in contact or upstream of it, within a window or the distance
@@ -74,8 +78,11 @@ class NewSkin:
             known: all points in this frame.
         """
         touching = contact[::_STEP, ::_STEP] > 0
-        if not touching.any() or not known.tracked.any():
+        if not touching.any():
             return None
+        if known.tracked.sum() < _LEFT * len(known.tracked):
+            self._before = None
+            return self._around(touching) & ~self._near_points(known.place[known.tracked])
         place = self._on_contact(known.place)  # px of the contact view from here on
         middle = self._middle(touching)
         before, self._before = self._before, (place, middle)
@@ -109,6 +116,15 @@ class NewSkin:
         wanted = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
         wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
+
+    def _around(self, touching: Mask) -> Mask:
+        """Return the mask (h, w) of the topographic view within the radius of the first seeding region of a contact.
+
+        The contact has just begun, and is taken to grow as large as that one.
+        """
+        radius = max(self._window, np.sqrt(self.searched[0].sum() / np.pi)) * self._per_px / (_STEP * self._cell)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(radius) + 1,) * 2)
+        return self._on_topography(cv2.dilate(touching.astype(np.uint8), disc) > 0)
 
     def _cells_without_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
         """Return the flat mask of grid cells, in contact now or soon, that have no tracked point within `far` px.
@@ -177,6 +193,8 @@ class NewSkin:
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+        if len(place) < 2:
+            return np.zeros((height, width), dtype=bool)
         away = np.ones((height, width), np.uint8)
         away[row[inside], column[inside]] = 0
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)

@@ -28,6 +28,8 @@ from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
+_IMPULSE, _BEYOND_NOISE = 0.2, 8.0  # of the range, and standard deviations of noise, by which a pixel stands out
+_FEWEST = 3  # points of a gradient
 MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
 
 
@@ -69,7 +71,7 @@ class TrackingStage(Stage):
         self._full = False  # True if no more points may be seeded
         self._skipped: list[int] = []  # unusable frames before the first seeding
         self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: seeding region
-        self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
+        self._share, self._error, self._differs, self._held = np.full((4, len(trial)), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -152,15 +154,17 @@ class TrackingStage(Stage):
             "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
         }.items():
             self.results[name][indices] = values
-        tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
+        tracked = status[:, :before] == TrackStatus.TRACKED
         self._share[indices] = tracked.mean(1)
-        self._differs[indices] = differs.mean(1)
+        self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
+        self._held[indices] = (status[:, :before] == TrackStatus.DUST_IN_WINDOW).mean(1)
         self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
+        self.warnings.extend(plausibility.of_dust(self._held, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
@@ -173,22 +177,34 @@ class TrackingStage(Stage):
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
-        where = self._seeding_region()
-        points = self._engine.detect(self._view_for_seeding(image), where, self._settings.points)
-        if len(points) < 3:
+        where, asked = self._seeding_region(), self._settings.points
+        points = self._engine.detect(self._view_for_seeding(image), where, asked)
+        if len(points) < _FEWEST:
+            # The largest contact may be a later one, at another place than the skin in this frame.
+            self._region = self.trial.stage(ContactStage).touched()[0, 0].cpu().numpy()
+            where = self._seeding_region()
+            points = self._engine.detect(self._view_for_seeding(image), where, asked)
+        if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
-                f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
-                f"region, [stream] region, the calibration and the focus."
+                f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
+                f"its region, [stream] region, the calibration and the focus."
             )
-        asked, apart = self._settings.points, self._settings.min_distance_px
+        apart = self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
+        self.warnings.extend(plausibility.of_impulses(self._impulses(image)))
         self._create(len(points), self._engine.noise(image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
         return self._start_tracking(image, points, np.zeros(0, np.intp))
+
+    def _impulses(self, image: Images) -> float:
+        """Return the share of pixels of a frame that differ from their neighbours as neither texture nor noise does."""
+        pixels = np.asarray(image, dtype=np.float32)[0, 0]
+        apart = np.abs(pixels - cv2.medianBlur(pixels, 3))
+        return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))).mean())
 
     def _start_tracking(
         self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any

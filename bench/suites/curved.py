@@ -1,0 +1,93 @@
+"""Errors of tracked positions where the displacement is curved: waves of 50, 100 and 300 px, and a star.
+
+Texture of periods from 5 to 16 px in all directions, 320 x 320 px, 8 bit, noise of 2 grey levels. A wave is
+u = (A sin 2 pi x / K, A cos 2 pi y / K) px; the star is v = 0.5 cos 2 pi y / K, with K rising from 40 to 300 px over x.
+Points lie on a grid of 10 px, window 21 px, starting from zero displacement. `rms_px` is over both coordinates of the
+accepted points, `z` the RMS of the error over the stated deviation.
+
+Two DIC codes, installed apart as `bench.dic_codes` says, had on the same pairs (rms in px; pyvale 2026.10.2 with its
+three shape functions, al-dic 1.0.3):
+
+    K, A       al-dic   rigid   affine  quadratic
+    50, 0.1    0.0167   0.0232  0.0199  0.0141
+    50, 0.5    0.0895   0.1124  0.0937  0.0185
+    100, 0.1   0.0080   0.0110  0.0090  0.0140
+    100, 0.5   0.0232   0.0434  0.0266  0.0143
+    300, 0.5   0.0088   0.0137  0.0078  0.0142
+    star       0.0243   0.0333  0.0258  0.0152
+    uniform    0.0094   0.0068  0.0072  0.0138
+"""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from bench.rows import Row
+from bench.skin import photograph
+from bench.suites.flow import NOISE, ridges
+from bench.trackers import track_opencv
+from fingerflow.ops.tracking.track_points import TrackStatus, track_points
+from fingerflow.synthetic import texture_image
+
+Field = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+_SHAPE, _BORDER, _STEP = (320, 320), 30, 10
+
+
+def run(quick: bool) -> list[Row]:
+    """Return a row per field and tracker."""
+    fields: dict[str, Field] = {
+        f"K {period}, A {height}": _wave(period, height) for period in (50, 100, 300) for height in (0.1, 0.5)
+    }
+    fields |= {"star": _star, "uniform": lambda x, y: (torch.full_like(x, 0.3), torch.full_like(x, -0.4))}
+    if quick:
+        fields = {name: fields[name] for name in ("K 100, A 0.5", "uniform")}
+    side = torch.arange(_BORDER, _SHAPE[0] - _BORDER + 1, _STEP)
+    points = torch.cartesian_prod(side, side).float()[None]
+    texture = ridges(400, 5.0, 16.0)
+    rows: list[Row] = []
+    for name, field in fields.items():
+        first, current = _pair(texture, field)
+        truth = torch.stack(field(*points[0].double().unbind(-1)), dim=-1)
+        ours, peer = track_points(first, current, points), track_opencv(first, current, points)
+        found = {
+            "fingerflow": (ours.points[0], ours.status[0] == TrackStatus.TRACKED),
+            "opencv": (peer.points[0], peer.accepted),
+        }
+        for tracker, (places, accepted) in found.items():
+            error = (places.double() - points[0] - truth)[accepted]
+            deviation = ours.covariance[0, accepted].diagonal(dim1=1, dim2=2).sqrt()
+            rows.append(
+                {
+                    "field": name,
+                    "tracker": tracker,
+                    "accepted": accepted.double().mean().item(),
+                    "rms_px": error.square().mean().sqrt().item(),
+                    "z": (error / deviation).square().mean().sqrt().item() if tracker == "fingerflow" else None,
+                }
+            )
+    return rows
+
+
+def _wave(period: float, height: float) -> Field:
+    turn = 2 * math.pi / period
+    return lambda x, y: (height * torch.sin(turn * x), height * torch.cos(turn * y))
+
+
+def _star(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    period = 40 + 260 * x / _SHAPE[1]
+    return torch.zeros_like(x), 0.5 * torch.cos(2 * math.pi * (y - _SHAPE[0] / 2) / period)
+
+
+def _pair(texture: Callable[[Tensor, Tensor], Tensor], field: Field) -> tuple[Tensor, Tensor]:
+    def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        there_x, there_y = x, y
+        for _ in range(30):  # the strain is at most 0.08
+            u, v = field(there_x, there_y)
+            there_x, there_y = x - u, y - v
+        return there_x, there_y
+
+    clean = texture_image(texture, _SHAPE, 1.0), texture_image(texture, _SHAPE, 1.0, material)
+    first, current = (photograph(one, NOISE, seed) for seed, one in enumerate(clean))
+    return first, current

@@ -1,0 +1,128 @@
+"""Replay of modules as CUDA graphs: the host starts one graph in place of hundreds of kernels.
+
+A graph is recorded for each signature: the shapes and dtypes of the inputs. It reads and writes buffers of its own,
+into which the inputs of a call are copied and out of which its results are.
+"""
+
+import logging
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from threading import Lock
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
+
+from fingerflow.errors import first_line
+
+_AFTER = 2  # ordinary calls of a signature before it is recorded: many signatures, as of lost points, come only once
+_GRAPHS = 8  # of a module, each with memory of its own; the one that was not used for longest is dropped
+_one_recording = Lock()  # a recording begins with freeing the memory that is not used
+log = logging.getLogger("fingerflow.engines")
+
+
+class RecordedCall(NamedTuple):
+    """Call that can be repeated: `replay` computes the tensors of `result` again from those that the call has read."""
+
+    replay: Callable[[], object]
+    result: Any
+
+
+Record = Callable[[Callable[[], Any]], RecordedCall]
+
+
+def record_graph(call: Callable[[], Any]) -> RecordedCall:
+    """Record a call as a CUDA graph with a memory pool of its own.
+
+    Raises:
+        RuntimeError: the call waits for the device, or memory is too small.
+    """
+    current, graph = torch.cuda.current_stream(), torch.cuda.CUDAGraph()
+    with _one_recording:
+        try:
+            ahead = torch.cuda.Stream()
+            ahead.wait_stream(current)
+            with torch.cuda.stream(ahead):  # libraries set up what they need, which must not be recorded
+                call()
+            current.wait_stream(ahead)
+            # Other threads may go on to compute on the device.
+            with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+                result = call()
+        finally:
+            torch.cuda.set_stream(current)  # a failed recording leaves its own stream
+    return RecordedCall(graph.replay, result)
+
+
+class Captured:
+    """Wrapper of a module that replays recorded calls; other attributes are those of the module.
+
+    A call whose signature is new, or cannot be recorded, is an ordinary call of the module. The wrapper may be called
+    from several threads. Derivatives are not computed.
+
+    Args:
+        module: its results depend on the tensors and numbers that it is given only.
+        record: makes a recording of a call.
+    """
+
+    def __init__(self, module: nn.Module, record: Record = record_graph) -> None:
+        self._module, self._record = module, record
+        self._lock = Lock()
+        self._calls: dict[Any, int] = {}
+        self._graphs: OrderedDict[Any, _Graph | None] = OrderedDict()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+    def __call__(self, *given: Any) -> Any:
+        """Return the result of the module, in new tensors."""
+        leaves, structure = tree_flatten(given)
+        signature = str(structure), tuple((one.shape, one.dtype) if isinstance(one, Tensor) else one for one in leaves)
+        with torch.inference_mode(), self._lock:
+            graph = self._graph(signature, given)
+            if graph is not None:
+                return graph([one for one in leaves if isinstance(one, Tensor)])
+        return self._module(*given)
+
+    def _graph(self, signature: Any, given: tuple[Any, ...]) -> "_Graph | None":
+        if signature not in self._graphs:
+            self._calls[signature] = self._calls.get(signature, 0) + 1
+            if self._calls[signature] <= _AFTER:
+                return None
+            self._graphs[signature] = self._recorded(given)
+            if len(self._graphs) > _GRAPHS:
+                del self._calls[self._graphs.popitem(last=False)[0]]
+        self._graphs.move_to_end(signature)
+        return self._graphs[signature]
+
+    def _recorded(self, given: tuple[Any, ...]) -> "_Graph | None":
+        try:
+            return _Graph(self._module, given, self._record)
+        except RuntimeError as error:
+            name = type(self._module).__name__
+            log.warning("%s is not captured as a graph and computed call by call: %s", name, first_line(error))
+            return None
+
+
+class _Graph:
+    """Recorded call of a module, with buffers of its own for the inputs."""
+
+    def __init__(self, module: nn.Module, given: tuple[Any, ...], record: Record) -> None:
+        own = tree_map(lambda one: one.clone() if isinstance(one, Tensor) else one, given)
+        self._inputs = [one for one in tree_flatten(own)[0] if isinstance(one, Tensor)]
+        self._replay, result = record(lambda: module(*own))
+        self._results, self._structure = tree_flatten(result)
+
+    def __call__(self, given: Sequence[Tensor]) -> Any:
+        _copy(self._inputs, given)
+        self._replay()
+        results = [torch.empty_like(one) if isinstance(one, Tensor) else one for one in self._results]
+        _copy(*([one for one in some if isinstance(one, Tensor)] for some in (results, self._results)))
+        return tree_unflatten(results, self._structure)
+
+
+def _copy(to: Sequence[Tensor], given: Sequence[Tensor]) -> None:
+    """Copy tensors, in one launch for those of a dtype."""
+    for dtype in {one.dtype for one in given}:
+        alike = [place for place, one in enumerate(given) if one.dtype == dtype]
+        torch._foreach_copy_([to[place] for place in alike], [given[place] for place in alike])

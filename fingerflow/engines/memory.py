@@ -1,0 +1,28 @@
+"""Memory of a GPU that the torch engine needs for recordings computed together.
+
+`python -m bench gpu` counts it: `peak_MB` are the most bytes alive at a time in a step of the portable form, for each
+frame. A captured step keeps its memory (`engines.capture`), so that the steps add up.
+"""
+
+FRAMES = 8  # of a recording in a call for their contact or their points
+_FRAMES_OF_FIELDS = 64  # of one recording in a call for its fields
+_PIXEL = 30.0  # bytes a pixel of a frame: contact, light and black level, the frame itself in 32 bit
+_SAMPLE = 160.0  # bytes a sample of a template: prepared, kept, copied for all recordings and for a graph, found
+_PAIR = 20.0  # bytes a pair of points of a frame: deformation or fields
+_UPDATED = 1e9  # bytes while templates are updated, of however many recordings (`ops.pieces`)
+_SHARE = 0.7  # of the memory that is free; the rest is that of libraries, and lost between blocks
+
+
+def recordings_that_fit(free: float, height: int, width: int, points: int, window_px: int) -> int:
+    """Return how many recordings can be computed together in `free` bytes of memory; at least one.
+
+    Their views have height x width px, and their points windows of `window_px`.
+    """
+    shared = _UPDATED + _FRAMES_OF_FIELDS * points**2 * _PAIR
+    return max(1, int((_SHARE * free - shared) / bytes_of_recording(height, width, points, window_px)))
+
+
+def bytes_of_recording(height: int, width: int, points: int, window_px: int) -> float:
+    """Return the bytes that one of several recordings needs."""
+    of_frame = height * width * _PIXEL + points**2 * _PAIR
+    return FRAMES * of_frame + points * window_px**2 * _SAMPLE

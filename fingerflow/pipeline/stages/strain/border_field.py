@@ -1,0 +1,146 @@
+"""Displacement fields that vanish at the contact border, fitted to displacements of points by Bayesian regression.
+
+With r the relative radius in the border's ellipse and places z in its unit disc,
+
+    u(x) = (1 - r^2) sum_k c_k P_k(z),
+
+where P_k are the polynomials up to degree 8, and the functions of the sum are made orthonormal on the disc. The
+coefficients are independent Gaussian numbers beforehand, of variance t^2 / degree^8: a prior of smoothness, whose scale
+t has the largest marginal likelihood (Rasmussen & Williams 2006, equation 5.8).
+
+Products of two polynomials are polynomials, so that the normal equations of all K (K + 1) / 2 pairs of functions come
+from 17^2 moments of the points. That takes a third of the operations of summing each pair over 500 points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_DEGREE = 8  # of P_k
+_SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
+_SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # t^2, mm^2; the first and the last one bound the search
+_PROBES = 21, 34  # Fibonacci numbers: first two of 55 steps between scales, at which the likelihood is compared
+_TOGETHER = 8  # frames, of whose points a processor's cache holds all powers
+_RADII, _ANGLES = 10, 24  # places of the quadrature, exact for the density of polynomials of this degree
+
+
+class BorderFields(NamedTuple):
+    """Coefficients of n fields in the functions of `BorderFunctions`, with their uncertainty."""
+
+    coefficients: Array  # (n, K, 2) mean
+    covariance: Array  # (n, K, K) of each component
+
+
+class BorderFunctions:
+    """Polynomials on the unit disc that are zero at its border, with quadrature points and weights.
+
+    They are orthonormal but for a factor: the standard deviation of the coefficient beforehand, in units of t.
+
+    Attributes:
+        weights: (P,) of the places for a mean over the disc.
+        gradient: (2, P, K) of the functions at the places.
+        squares: (2, K, K) means over the disc of products of two functions' derivatives in the same direction.
+    """
+
+    def __init__(self) -> None:
+        nodes, shares = np.polynomial.legendre.leggauss(_RADII)  # in the square of the radius
+        turns = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
+        places = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+        self.weights = np.repeat(shares / 2 / _ANGLES, _ANGLES)
+        i, j = self._powers = np.array([(n - k, k) for n in range(_DEGREE + 1) for k in range(n + 1)]).T
+        x, y = places.reshape(1, -1, 2).transpose(2, 0, 1)
+        inside = (1 - x**2 - y**2)[0, :, None]
+        x_powers, y_powers = (_powers(one, _DEGREE)[0].T for one in (x, y))
+        each = x_powers[:, i] * y_powers[:, j]
+        # Ordered by degree, so that functions of a degree span the same space in every orientation.
+        triangular = np.linalg.qr(inside * each * np.sqrt(self.weights)[:, None], mode="r")
+        self._mixed = np.linalg.inv(triangular) * (i + j + 2.0) ** -_SMOOTHNESS
+        by_x = i * x_powers[:, np.maximum(i - 1, 0)] * y_powers[:, j]
+        by_y = j * x_powers[:, i] * y_powers[:, np.maximum(j - 1, 0)]
+        slopes = np.stack((inside * by_x - 2 * x.T * each, inside * by_y - 2 * y.T * each))
+        self.gradient = slopes @ self._mixed
+        self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
+
+    def fit(self, places: Array, moved: Array, weight: Array) -> BorderFields:
+        """Fit n fields to the displacements of N points.
+
+        The noise is as large as stated, or as the residuals if they are larger.
+
+        Args:
+            places: (n, 2, N) in the unit disc; finite.
+            moved: (n, 2, N) mm; finite.
+            weight: (n, N) inverse variance of a displacement component, 1/mm^2; 0 for points that are not known.
+        """
+        parts = [slice(first, first + _TOGETHER) for first in range(0, len(places), _TOGETHER)]
+        normal = np.concatenate([self._normal_equations(places[one], moved[one], weight[one]) for one in parts])
+        numbers = 2 * (weight > 0).sum(1)
+        noise = _find_scales(normal, numbers)[:, None, None]
+        functions = len(self._mixed)
+        inverse = np.linalg.inv(normal[:, :functions, :functions])
+        return BorderFields(inverse @ normal[:, :functions, functions:], noise * inverse)
+
+    def _normal_equations(self, places: Array, moved: Array, weight: Array) -> Array:
+        """Return weighted sums (n, K + 2, K + 2) of products of the K functions and the two displacement components."""
+        i, j = self._powers
+        x, y = (_powers(places[:, k], 2 * _DEGREE) for k in range(2))
+        inside = 1 - x[:, 2] - y[:, 2]
+        pairs = (x * (weight * inside**2)[:, None]) @ y.mT
+        of_pairs = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
+        # Each component times each power of x, by each power of y.
+        weighed = moved * weight[:, None]
+        low = x[:, None, : _DEGREE + 1] * (weighed * inside[:, None])[:, :, None]
+        of_moved = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
+        functions = len(self._mixed)
+        result = np.empty((len(places), functions + 2, functions + 2))
+        result[:, :functions, :functions] = self._mixed.T @ of_pairs @ self._mixed
+        result[:, functions:, :functions] = of_moved @ self._mixed
+        result[:, :functions, functions:] = result[:, functions:, :functions].mT
+        result[:, functions:, functions:] = weighed @ moved.mT
+        return result
+
+
+def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
+    """Add the prior 1 / t^2 of the largest likelihood to normal equations; return the noise (n,) over that stated.
+
+    The likelihood has one maximum, which Fibonacci search finds (Kiefer 1953). A Cholesky factor of the equations, with
+    the displacements as their last columns, gives both the determinant and, there, what the fit leaves of the squares.
+    """
+    functions = normal.shape[1] - 2
+    diagonal = np.einsum("nkk->nk", normal)
+    sums = diagonal[:, :functions].copy()
+    diagonal[:, functions:] += numbers[:, None]  # so that rounding leaves it positive
+
+    def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return the logarithm of the likelihood (n,), up to a constant, and the noise."""
+        diagonal[:, :functions] = sums + 1 / _SCALES[scale, None]
+        root = np.linalg.cholesky(normal)
+        rest = (root[:, functions:, functions:] ** 2).sum((1, 2)) / numbers - 2
+        noise = np.maximum(rest, 1)
+        # Half of the logarithm of the determinant of 1 + t^2 times the sums.
+        half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + functions / 2 * np.log(_SCALES[scale])
+        return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
+
+    near, far = _PROBES
+    low = np.zeros(len(normal), np.intp)
+    left, right = (likelihood(low + one) for one in (near, far))
+    while far > 2:
+        up = right[0] > left[0]
+        low = low + near * up
+        near, far = far - near, near
+        probe = likelihood(low + np.where(up, far, near))
+        left, right = np.where(up, (right, probe), (probe, left))
+    up = right[0] > left[0]
+    diagonal[:, :functions] = sums + 1 / _SCALES[low + np.where(up, far, near), None]
+    return np.where(up, right[1], left[1])
+
+
+def _powers(values: Array, highest: int) -> Array:
+    """Return the powers (n, highest + 1, N) from 0 on of values (n, N)."""
+    result = np.empty((len(values), highest + 1, values.shape[1]))
+    result[:, 0] = 1
+    for k in range(highest):
+        np.multiply(result[:, k], values, out=result[:, k + 1])
+    return result

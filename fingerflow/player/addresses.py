@@ -1,0 +1,56 @@
+"""Things that a user names by an address such as "udp:127.0.0.1:5005": each kind is one module of a folder."""
+
+from __future__ import annotations
+
+import pkgutil
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+from fingerflow.errors import FingerflowError, PlayerError, first_line
+
+
+class AddressKind(Protocol):
+    """Interface of a module that opens one kind; a module of the folder without `ADDRESS` is none.
+
+    Attributes:
+        ADDRESS: form of an address, such as "udp:HOST:PORT", which begins with the name of the kind.
+    """
+
+    ADDRESS: str
+
+    def open_address(self, address: str, *arguments: Any) -> Any:
+        """Open what an address means, given without the name of the kind.
+
+        ImportError with the name of a package means that this package is to be installed.
+        """
+
+
+def kinds(package: str) -> dict[str, AddressKind]:
+    """Return all kinds in a package by name, in alphabetical order."""
+    found = pkgutil.iter_modules(import_module(package).__path__)
+    modules = [import_module(f"{package}.{one.name}") for one in found]
+    return {one.ADDRESS.partition(":")[0]: cast(AddressKind, one) for one in modules if hasattr(one, "ADDRESS")}
+
+
+def forms(package: str) -> str:
+    """Return the forms of all addresses, for messages."""
+    return ", ".join(one.ADDRESS for one in kinds(package).values())
+
+
+def open_address(package: str, what: str, asked: str, *arguments: Any) -> Any:
+    """Open what an address means, by the kind that its first word names.
+
+    Raises PlayerError with the reason where there is no such kind or it cannot be opened.
+    """
+    name, _, address = asked.partition(":")
+    kind = kinds(package).get(name)
+    if kind is None:
+        raise PlayerError(f"{what} {asked!r}: there is no kind {name!r}; give one of {forms(package)}")
+    try:
+        return kind.open_address(address, *arguments)
+    except FingerflowError as error:
+        raise PlayerError(f"{what} {asked!r}: {error}; its form is {kind.ADDRESS}") from None
+    except ImportError as error:
+        raise PlayerError(f"{what} {asked!r}: needs the package {error.name}: `pip install {error.name}`") from None
+    except Exception as error:  # libraries do not specify what they raise
+        raise PlayerError(f"{what} {asked!r}: cannot be opened ({first_line(error)})") from error

@@ -1,0 +1,106 @@
+"""Forces of the frames of a stream: recorded with them, or measured by a live sensor."""
+
+from __future__ import annotations
+
+import bisect
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError, first_line
+from fingerflow.player.sensors.sensor import ForceSample, ForceSensor
+
+log = logging.getLogger("fingerflow.player")
+
+_REMEMBERED = 4096  # samples
+_CLOSE_BY = 0.05  # s between a frame and its sample, beyond which the force is unknown
+_FAILED_WAIT = 0.2  # s after a sample that could not be read
+
+
+class FrameForces(Protocol):
+    """Interface of the forces of frames."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the variables that are known."""
+
+    def at(self, number: int, time: float) -> Mapping[str, float]:
+        """Return the forces in a frame in N by name, NaN where unknown, from its number and its `perf_counter` time."""
+
+    def close(self) -> None:
+        """End the measurement."""
+
+
+class LiveForces(NamedTuple):
+    """Measured forces of a recording by name, in N for each frame from number ``first`` on."""
+
+    first: int
+    values: Mapping[str, Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the variables."""
+        return tuple(self.values)
+
+    def at(self, number: int, time: float) -> Mapping[str, float]:
+        """Return the forces in a frame by name; NaN for frames outside the recorded range."""
+        place = number - self.first
+        return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
+
+    def close(self) -> None:
+        """Do nothing, as no sensor is open."""
+
+
+class SensorForces:
+    """Forces of a live sensor, read by a thread of its own; a frame has the sample nearest in time.
+
+    Where the nearest sample is more than 0.05 s away, forces are NaN.
+    """
+
+    names = ("normal_force", "tangential_force")
+
+    def __init__(self, sensor: ForceSensor, name: str) -> None:
+        self._sensor, self._name = sensor, name
+        self._samples: deque[ForceSample] = deque(maxlen=_REMEMBERED)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._read_all, name="forces", daemon=True)
+        self._thread.start()
+
+    def at(self, number: int, time: float) -> Mapping[str, float]:
+        """Return the forces at a time."""
+        samples = list(self._samples)
+        place = bisect.bisect_left(samples, time, key=lambda one: one.time)
+        near = min(samples[max(place - 1, 0) : place + 1], key=lambda one: abs(one.time - time), default=None)
+        if near is None or abs(near.time - time) > _CLOSE_BY:
+            return dict.fromkeys(self.names, math.nan)
+        return {"normal_force": near.normal, "tangential_force": near.tangential}
+
+    def close(self) -> None:
+        """End reading and close the sensor."""
+        self._stop.set()
+        self._thread.join(1.0)
+
+    def _read_all(self) -> None:
+        failed = False
+        while not self._stop.is_set():
+            try:
+                sample = self._sensor.read()
+            except Exception as error:
+                if not failed:
+                    log.warning("%s: no force: %s", self._name, first_line(error))
+                failed = True
+                if isinstance(error, PlayerError):
+                    break
+                self._stop.wait(_FAILED_WAIT)
+                continue
+            if sample is not None:
+                failed = False
+                self._samples.append(sample)
+        try:
+            self._sensor.close()
+        except Exception as error:
+            log.warning("%s: closing: %s", self._name, first_line(error))

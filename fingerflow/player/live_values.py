@@ -1,0 +1,48 @@
+"""Live values: the numbers of a frame that outputs send and conditions compare, taken from its record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
+from fingerflow.player.records import RecordLayout
+from fingerflow.schema.variable_record import LABELS, Variable
+from fingerflow.schema.variables import FRAME, VARIABLES
+
+_STAMPED = {"frame", "time"}  # which the stamp of a message holds
+
+
+class LiveValues:
+    """Values of a frame by name: scalars of its record, and components of vectors such as `ellipse_center_x`.
+
+    Attributes:
+        variables: definition of each value.
+    """
+
+    def __init__(self, layout: RecordLayout) -> None:
+        self._places: dict[str, tuple[str, int | None]] = {}
+        for name in (one["name"] for one in layout.fields if one["name"] not in _STAMPED):
+            dims = VARIABLES[name].dims
+            if dims == FRAME:
+                self._places[name] = name, None
+            elif len(dims) == 2 and dims[1] in LABELS:
+                self._places |= {f"{name}_{label}": (name, place) for place, label in enumerate(LABELS[dims[1]])}
+        self.variables: dict[str, Variable] = {
+            name: replace(VARIABLES[field], name=name) for name, (field, _) in self._places.items()
+        }
+
+    def units_of(self, names: Sequence[str] | None) -> dict[str, str]:
+        """Return the units of some values by name, or of all for None; raise PlayerError for an unknown one."""
+        for name in names or ():
+            if name not in self.variables:
+                raise PlayerError(f"--values: there is no live value {name!r}; there are {', '.join(self.variables)}")
+        return {name: self.variables[name].units for name in names or self.variables}
+
+    def of(self, record: Array) -> dict[str, float]:
+        """Return the values of a record."""
+        return {
+            name: float(record[field] if place is None else record[field][place])
+            for name, (field, place) in self._places.items()
+        }

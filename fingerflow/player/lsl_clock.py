@@ -1,0 +1,23 @@
+"""Lab Streaming Layer: the package pylsl, and the offset of its clock to `time.perf_counter`."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from typing import Any
+
+
+def load_lsl() -> tuple[Any, float]:
+    """Return the module pylsl, and what added to `time.perf_counter()` gives its clock, in s; ImportError without it.
+
+    A few readings are taken, of which the one with the shortest time around it counts.
+    """
+    try:
+        pylsl = importlib.import_module("pylsl")
+    except (ImportError, RuntimeError):  # RuntimeError: the package is there without its library liblsl
+        raise ImportError(name="pylsl") from None
+    readings = []
+    for _ in range(5):
+        before, there, after = time.perf_counter(), pylsl.local_clock(), time.perf_counter()
+        readings.append((after - before, there - (before + after) / 2))
+    return pylsl, min(readings)[1]

@@ -1,0 +1,29 @@
+"""Objects of a user's module, given as ``module:name``."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from fingerflow.errors import PlayerError
+
+
+def load_callable(name: str) -> Callable[..., Any]:
+    """Return what ``module:name`` means, for a module in the present folder or installed.
+
+    Raises PlayerError where it cannot be imported, or cannot be called.
+    """
+    module, _, called = name.partition(":")
+    sys.path.insert(0, os.getcwd())
+    try:
+        found = getattr(importlib.import_module(module), called)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise PlayerError(f"{error}; give MODULE:FACTORY of a module in this folder") from None
+    finally:
+        sys.path.pop(0)
+    if not callable(found):
+        raise PlayerError(f"{called} of {module} is {type(found).__name__}; it must be callable")
+    return found  # type: ignore[no-any-return]

@@ -1,0 +1,47 @@
+"""Output of live values as a stream of the Lab Streaming Layer; needs the package pylsl."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+from fingerflow.player.camera_clock import EPOCH
+from fingerflow.player.lsl_clock import load_lsl
+from fingerflow.player.outputs.output import FrameStamp, Output
+
+ADDRESS = "lsl:NAME"
+_STAMPS = {"frame": "", "written": "s"}  # channels before the values; the sample's own time stamp is the camera time
+log = logging.getLogger("fingerflow.player")
+
+
+class LslOutlet:
+    """Outlet of one sample per frame, stamped with the camera time on the clock of LSL.
+
+    Channels are the number of the frame, the time of writing on the same clock, and the values, with label and unit.
+    """
+
+    def __init__(self, name: str, units: Mapping[str, str]) -> None:
+        lsl, offset = load_lsl()
+        self._shift = offset - EPOCH  # added to Unix time
+        channels = _STAMPS | dict(units)
+        kind = (len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"fingerflow-{name}")
+        info = lsl.StreamInfo(name or "fingerflow", "contact", *kind)
+        described = info.desc().append_child("channels")
+        for label, unit in channels.items():
+            described.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)
+        self._outlet = lsl.StreamOutlet(info)
+        log.warning("LSL serves the stream %r to every computer of this network, without a password", info.name())
+
+    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
+        """Send the values of a frame."""
+        sample = [float(frame.number), frame.written + self._shift, *values.values()]
+        self._outlet.push_sample(sample, frame.camera_time + self._shift)
+
+    def close(self) -> None:
+        """Withdraw the stream."""
+        del self._outlet
+
+
+def open_address(address: str, units: Mapping[str, str]) -> Output:
+    """Return the outlet of a new stream with this name."""
+    return LslOutlet(address, units)

@@ -1,0 +1,43 @@
+"""Output of live values by Open Sound Control 1.0 over UDP, for Max, Pure Data, SuperCollider or TouchDesigner."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from fingerflow.player.outputs.output import FrameStamp, Output
+from fingerflow.player.outputs.udp_output import Datagrams
+
+ADDRESS = "osc:HOST:PORT"
+_AT_ONCE = b"#bundle\0" + struct.pack(">Q", 1)  # the time tag 1 means immediately
+
+
+class OscOverUdp:
+    """Output of one OSC bundle per frame, with a message `/fingerflow/NAME` for each value.
+
+    Its arguments are the value (float32), the number of the frame (int32), camera time and time of writing (float64).
+    """
+
+    def __init__(self, address: str) -> None:
+        self._datagrams = Datagrams(address)
+        self.close = self._datagrams.close
+
+    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
+        """Send the values of a frame; one that is unknown is NaN."""
+        stamp = struct.pack(">idd", frame.number, frame.camera_time, frame.written)
+        messages = (
+            _padded(f"/fingerflow/{name}") + _padded(",fidd") + struct.pack(">f", value) + stamp
+            for name, value in values.items()
+        )
+        self._datagrams.write(_AT_ONCE + b"".join(struct.pack(">i", len(one)) + one for one in messages))
+
+
+def open_address(address: str, units: Mapping[str, str]) -> Output:
+    """Return an output to HOST:PORT."""
+    return OscOverUdp(address)
+
+
+def _padded(text: str) -> bytes:
+    """Return a text with one to four zero bytes behind it, to a multiple of four."""
+    data = text.encode()
+    return data + b"\0" * (4 - len(data) % 4)

@@ -1,0 +1,47 @@
+"""Define the interface of outputs, and the stamp of a frame that every message carries."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from fingerflow.engines.engine import Array
+
+
+class FrameStamp(NamedTuple):
+    """Stamp of the frame to which live values belong.
+
+    Attributes:
+        number: of the frame, as in the records; gaps are frames that were dropped or overtaken.
+        camera_time: Unix time in s at which the camera took the frame, by its own stamps where it gives them, else
+            the time of arrival.
+        written: Unix time in s at which the message is written.
+        record: the record of the frame, by the names of `read_results`, with positions and fields of all points.
+    """
+
+    number: int
+    camera_time: float
+    written: float
+    record: Array
+
+
+class Output(Protocol):
+    """Interface of a receiver of live values. An output is called by a thread of its own."""
+
+    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
+        """Send the values of a frame, by the names and in the units of the data set; NaN where one is unknown.
+
+        Any exception counts as a message that failed.
+        """
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+def as_json(frame: FrameStamp, values: Mapping[str, float]) -> bytes:
+    """Return a message as one JSON object; a value that is unknown is null."""
+    stamp = {"frame": frame.number, "camera_time": frame.camera_time, "written": frame.written}
+    known = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    return json.dumps(stamp | known, separators=(",", ":")).encode()

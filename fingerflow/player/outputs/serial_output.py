@@ -1,0 +1,28 @@
+"""Output to a serial line: a fixed text, as a trigger sends, or a line of JSON per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fingerflow.player.outputs.output import FrameStamp, Output, as_json
+from fingerflow.player.serial_line import FORM, SerialLine, open_line
+
+ADDRESS = f"{FORM}[:TEXT]"
+
+
+class SerialOutput:
+    """Output that writes the same text for every frame, or without a text a line of JSON."""
+
+    def __init__(self, line: SerialLine, text: str) -> None:
+        self._line, self._text = line, text.encode()
+        self.close = line.close
+
+    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
+        """Write the text, or the values of a frame."""
+        self._line.write(self._text or as_json(frame, values) + b"\n")
+
+
+def open_address(address: str, units: Mapping[str, str]) -> Output:
+    """Open the serial line DEVICE[@BAUD][:TEXT]."""
+    device, _, text = address.partition(":")
+    return SerialOutput(open_line(device), text)

@@ -1,0 +1,51 @@
+"""Output of live values by ZeroMQ, each message one JSON object; needs the package pyzmq."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+
+from fingerflow.errors import PlayerError
+from fingerflow.player.outputs.output import FrameStamp, Output, as_json
+
+ADDRESS = "zeromq:tcp://HOST:PORT"
+_LINGER = 500  # ms that a message at the end waits for its receiver
+
+
+class ZeroMq:
+    """Output to a PULL socket that the receiver has bound; the player opens no port.
+
+    PUSH reports a message that nobody can take, which PUB drops in silence: without a receiver, or while the receiver
+    is slower than the frames, messages count as failed.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            self._zmq = importlib.import_module("zmq")
+        except ImportError:
+            raise ImportError(name="pyzmq") from None
+        if "://" not in address:
+            raise PlayerError(f"{address!r} is no tcp://HOST:PORT")
+        self._context = self._zmq.Context()
+        self._socket = self._context.socket(self._zmq.PUSH)
+        self._socket.setsockopt(self._zmq.SNDHWM, 1)
+        self._socket.setsockopt(self._zmq.IMMEDIATE, 1)  # nothing waits for a receiver that is not there
+        self._socket.setsockopt(self._zmq.LINGER, _LINGER)
+        self._socket.connect(address)
+
+    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
+        """Send the values of a frame; raise OSError if no receiver takes them now."""
+        try:
+            self._socket.send(as_json(frame, values), self._zmq.NOBLOCK)
+        except self._zmq.Again:
+            raise OSError("no receiver takes messages") from None
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+        self._context.term()
+
+
+def open_address(address: str, units: Mapping[str, str]) -> Output:
+    """Return an output to a PULL socket."""
+    return ZeroMq(address)

@@ -1,0 +1,166 @@
+"""Sending of live values: one thread per output, so that a slow output delays neither the stream nor other outputs."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from fingerflow.errors import FingerflowError, first_line
+from fingerflow.player.camera_clock import unix_now
+from fingerflow.player.condition import Condition
+from fingerflow.player.handover import Channel
+from fingerflow.player.latency import Latencies
+from fingerflow.player.outputs.output import FrameStamp, Output
+
+log = logging.getLogger("fingerflow.player")
+
+_WAITING = 256  # messages
+_CATCH_UP = 0.01  # s within which all messages that wait are to be sent, or else only the newest is
+_CLOSING = 2.0  # s that a stopped stream waits for an output before it abandons it
+
+
+class Message(NamedTuple):
+    """Stamp and values of a frame that waits to be sent."""
+
+    frame: FrameStamp
+    values: Mapping[str, float]
+
+
+class Destination(NamedTuple):
+    """Opened output, and what it is sent.
+
+    Attributes:
+        name: for messages.
+        values: names of the values that it is sent.
+        condition: on which it is sent a frame; None for every frame.
+    """
+
+    name: str
+    output: Output
+    values: tuple[str, ...]
+    condition: Condition | None = None
+
+
+class Sender:
+    """Thread that passes live values to one output.
+
+    Of the frames that come while the output is busy the newest is sent next, and the overtaken ones are counted. All of
+    them are sent where that takes 10 ms at most, by the time of the last message: then not the output was slow, but
+    this thread had to wait for a processor. With a condition only the frames at which it becomes true are sent, in
+    turn; up to 256 wait.
+
+    Args:
+        to: where to send.
+        waits: whether the stream waits for the output instead of overtaking frames, as it may for a file.
+        triggered: called after each message of a condition, with the frame's number, the condition, the latency in s.
+
+    Attributes:
+        sent, failed: counts of messages. What was not sent when the stream ended has failed.
+        latencies: from the camera time of a frame to the end of its sending.
+    """
+
+    def __init__(
+        self,
+        to: Destination,
+        waits: bool = False,
+        triggered: Callable[[int, str, float], None] = lambda frame, condition, latency: None,
+    ) -> None:
+        self.name, self._output, self._values, self._condition = to
+        self._waits, self._triggered = waits, triggered
+        self._messages: Channel[Message] = Channel(_WAITING)
+        self.offered = self.sent = self.failed = 0
+        self._pushed_out = self._passed_over = 0  # overtaken, as the offering and the sending thread count them
+        self._took = 0.0  # s, by the last message
+        self.latencies = Latencies()
+        self._fails = False
+        self._thread = threading.Thread(target=self._send_all, name=f"send {self.name}", daemon=True)
+        self._thread.start()
+
+    def offer(self, message: Message) -> None:
+        """Queue the values of a frame for sending, if they are to be sent."""
+        if self._condition is not None and not self._condition.becomes_true(message.values):
+            return
+        self.offered += 1
+        if self._waits:
+            self._messages.put(message)
+        else:
+            self._pushed_out += self._messages.put_newest(message) is not None
+
+    def stop_waiting(self) -> None:
+        """Let the stream no longer wait for this output, so that it can end; what it still offers has failed."""
+        if self._waits:
+            self._messages.close()
+
+    def close(self) -> None:
+        """Send what waits and close the output; abandon an output that takes longer than two seconds."""
+        self._messages.close()
+        self._thread.join(_CLOSING)
+        if self._thread.is_alive():
+            log.warning("%s: is still sending after %.0f s: it is left behind", self.name, _CLOSING)
+        self.failed = self.offered - self.sent - self.overtaken
+
+    @property
+    def overtaken(self) -> int:
+        """Return the number of messages that were not sent because a newer frame was there."""
+        return self._pushed_out + self._passed_over
+
+    @property
+    def lost(self) -> int:
+        """Return the number of messages that were overtaken or failed."""
+        return self.overtaken + self.failed
+
+    def facts(self) -> dict[str, Any]:
+        """Return the counts and latencies for the summary and the page."""
+        counts = {"sent": self.sent, "overtaken": self.overtaken, "failed": self.failed}
+        return {"output": self.name, **counts, "latency_ms": self.latencies.summary()}
+
+    def said(self) -> str:
+        """Return the counts and latencies as a sentence for the log."""
+        latency = self.latencies.summary()
+        return (
+            f"{self.name}: {self.sent} sent, {self.overtaken} overtaken by newer frames, {self.failed} failed; "
+            f"camera to output ms: median {latency['median']}, p99 {latency['p99']}"
+        )
+
+    def _next(self) -> list[Message]:
+        """Return the messages that are sent next, after waiting for one; none at the end."""
+        found: list[Message] = []
+        while (message := self._messages.get(wait=not found)) is not None:
+            found.append(message)
+        in_turn = self._waits or self._condition is not None
+        if in_turn or len(found) * self._took <= _CATCH_UP:
+            return found
+        self._passed_over += len(found) - 1
+        return found[-1:]
+
+    def _send_all(self) -> None:
+        while messages := self._next():
+            for message in messages:
+                self._send(message)
+        try:
+            self._output.close()
+        except Exception as error:
+            log.warning("%s: closing: %s", self.name, first_line(error))
+
+    def _send(self, message: Message) -> None:
+        frame = message.frame._replace(written=unix_now())
+        try:
+            self._output.send(frame, {name: message.values[name] for name in self._values})
+        except Exception as error:
+            self._took = unix_now() - frame.written
+            self.failed += 1
+            if not self._fails:
+                log.warning("%s: frame %d was not sent: %s", self.name, frame.number, first_line(error))
+            self._fails = True
+            return
+        now = unix_now()
+        latency, self._took = now - frame.camera_time, now - frame.written
+        self.sent += 1
+        self._fails = False
+        self.latencies.add(latency)
+        if self._condition is not None:
+            with contextlib.suppress(FingerflowError, ValueError):  # of a file that is full, or closed by now
+                self._triggered(frame.number, self._condition.text, latency)

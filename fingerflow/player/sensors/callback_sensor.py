@@ -1,0 +1,42 @@
+"""Force sensor that is a function of the user's own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from fingerflow.player.named_objects import load_callable
+from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
+
+ADDRESS = "callback:MODULE:FACTORY"
+_NONE_NOW = 0.001  # s
+
+
+class CallbackSensor:
+    """Sensor that a function reads: it waits for a sample and returns its forces in N, or None if there is none.
+
+    A number is the normal force, a tuple normal force and up to two tangential components. The time of a sample is that
+    of the function's return. Its `close` is called if it has one.
+    """
+
+    def __init__(self, grab: Callable[[], Any]) -> None:
+        self._grab = grab
+
+    def read(self) -> ForceSample | None:
+        """Return the next sample."""
+        forces = self._grab()
+        if forces is None:
+            time.sleep(_NONE_NOW)
+            return None
+        now = time.perf_counter()
+        return sample_of(now, [float(one) for one in forces] if isinstance(forces, (tuple, list)) else [float(forces)])
+
+    def close(self) -> None:
+        """Close the sensor."""
+        getattr(self._grab, "close", lambda: None)()
+
+
+def open_address(address: str) -> ForceSensor:
+    """Open the sensor whose factory is MODULE:FACTORY; the factory returns the function that reads."""
+    return CallbackSensor(load_callable(address)())

@@ -1,0 +1,49 @@
+"""Force sensor that is a stream of the Lab Streaming Layer; needs the package pylsl."""
+
+from __future__ import annotations
+
+from fingerflow.errors import PlayerError
+from fingerflow.player.lsl_clock import load_lsl
+from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
+
+ADDRESS = "lsl:NAME"
+_FINDING, _WAITING = 5.0, 0.2  # s
+
+
+class LslSensor:
+    """Inlet of the forces of a stream: its channels `normal_force` and `tangential_force`, else its first to third.
+
+    The times of samples are the stream's own, on the clock of this computer. A stream that cannot be found, or whose
+    channels are not in N, raises PlayerError.
+    """
+
+    def __init__(self, name: str) -> None:
+        lsl, self._shift = load_lsl()
+        found = lsl.resolve_byprop("name", name, timeout=_FINDING)
+        if not found:
+            raise PlayerError(f"no LSL stream has the name {name!r} in this network")
+        self._inlet = lsl.StreamInlet(found[0], processing_flags=lsl.proc_clocksync)
+        info = self._inlet.info(_FINDING)
+        labels = info.get_channel_labels() or []
+        units = info.get_channel_units() or []
+        named = [labels.index(one) for one in ("normal_force", "tangential_force") if one in labels]
+        self._places = named or list(range(min(3, info.channel_count())))
+        wrong = [units[place] for place in self._places if place < len(units) and units[place] not in (None, "", "N")]
+        if wrong:
+            raise PlayerError(f"the LSL stream {name!r} has forces in {wrong[0]}; send them in N")
+
+    def read(self) -> ForceSample | None:
+        """Return the next sample; None if none came for 0.2 s."""
+        sample, time = self._inlet.pull_sample(timeout=_WAITING)
+        if sample is None:
+            return None
+        return sample_of(time - self._shift, [float(sample[place]) for place in self._places])
+
+    def close(self) -> None:
+        """Close the inlet."""
+        self._inlet.close_stream()
+
+
+def open_address(address: str) -> ForceSensor:
+    """Open the stream with this name."""
+    return LslSensor(address)

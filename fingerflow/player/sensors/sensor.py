@@ -1,0 +1,47 @@
+"""Define the interface of live force sensors."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+from fingerflow.errors import PlayerError
+
+
+class ForceSample(NamedTuple):
+    """Sample of a force sensor.
+
+    Attributes:
+        time: s, on the axis of `time.perf_counter`.
+        normal, tangential: N; tangential is NaN where the sensor measures none.
+    """
+
+    time: float
+    normal: float
+    tangential: float = math.nan
+
+
+class ForceSensor(Protocol):
+    """Interface of a live force sensor. It is read by a thread of its own."""
+
+    def read(self) -> ForceSample | None:
+        """Return the next sample after waiting for it; None if none came for a while.
+
+        Any other exception than PlayerError counts as a sample that could not be read.
+        """
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+def sample_of(time: float, forces: tuple[float, ...] | list[float]) -> ForceSample:
+    """Return the sample of one to three forces in N: normal, tangential, or normal and two tangential components.
+
+    Raises PlayerError for another number of forces.
+    """
+    if not 1 <= len(forces) <= 3:
+        raise PlayerError(
+            f"the force sensor gives {len(forces)} numbers; it must give the normal force and up to two tangential ones"
+        )
+    normal, *tangential = forces
+    return ForceSample(time, normal, math.hypot(*tangential) if tangential else math.nan)

@@ -1,0 +1,95 @@
+"""Serial line: opened by termios on Linux and macOS, by the package pyserial on Windows."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Protocol
+
+from fingerflow.errors import PlayerError
+
+FORM = "serial:DEVICE[@BAUD]"
+_BAUD = 115200
+
+
+class SerialLine(Protocol):
+    """Interface of an open serial line."""
+
+    def read(self, size: int) -> bytes:
+        """Return at least one byte and at most `size`, after waiting for them; b"" if none came for a while."""
+
+    def write(self, data: bytes) -> object:
+        """Write all data."""
+
+    def close(self) -> None:
+        """Close the line."""
+
+
+class PosixLine:
+    """Serial line in raw mode, 8 data bits, no parity, without flow control.
+
+    An unknown device, one that is no serial line, or a rate that it does not have raises PlayerError.
+    """
+
+    def __init__(self, device: str, baud: int) -> None:
+        termios, tty = importlib.import_module("termios"), importlib.import_module("tty")
+        rate = getattr(termios, f"B{baud}", None)
+        if rate is None:
+            raise PlayerError(f"{baud} is no rate of serial lines here; 115200 is usual")
+        try:
+            # Without O_NONBLOCK, opening waits for the carrier of a modem.
+            self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError as error:
+            raise PlayerError(
+                f"{device} cannot be opened ({error.strerror}); is it plugged in, may you open it?"
+            ) from None
+        try:
+            tty.setraw(self._file)
+            settings = termios.tcgetattr(self._file)
+            settings[2] |= termios.CLOCAL | termios.CREAD
+            settings[4] = settings[5] = rate
+            settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 2  # a reader is told of silence after 0.2 s
+            termios.tcsetattr(self._file, termios.TCSANOW, settings)
+            os.set_blocking(self._file, True)
+        except termios.error:
+            os.close(self._file)
+            raise PlayerError(f"{device} is no serial line") from None
+
+    def read(self, size: int) -> bytes:
+        """Return what has arrived, b"" after 0.2 s without data."""
+        return os.read(self._file, size)
+
+    def write(self, data: bytes) -> None:
+        """Write all data."""
+        while data:
+            data = data[os.write(self._file, data) :]
+
+    def close(self) -> None:
+        """Close the line."""
+        os.close(self._file)
+
+
+class WindowsLine:
+    """Serial line by pyserial."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            self._port = importlib.import_module("serial").Serial(device, baud, timeout=0.2)
+        except ImportError:
+            raise ImportError(name="pyserial") from None
+        self.write, self.close = self._port.write, self._port.close
+
+    def read(self, size: int) -> bytes:
+        """Return what has arrived, b"" after 0.2 s without data."""
+        # With a larger size pyserial waits until so many bytes are there.
+        data: bytes = self._port.read(min(size, max(1, self._port.in_waiting)))
+        return data
+
+
+def open_line(address: str) -> SerialLine:
+    """Open a serial line given as DEVICE or DEVICE@BAUD, by default 115200 baud."""
+    device, _, baud = address.partition("@")
+    if not device or not (baud or str(_BAUD)).isdigit():
+        raise PlayerError(f"{address!r} is no DEVICE[@BAUD]")
+    return (WindowsLine if sys.platform == "win32" else PosixLine)(device, int(baud or _BAUD))

@@ -1,0 +1,91 @@
+"""Source of frames from a GenICam camera by its maker's GenTL producer; needs the package harvesters."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from pathlib import Path
+from typing import Any
+
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
+from fingerflow.player.sources.source import Source
+
+ADDRESS = "genicam:PRODUCER.cti[,serial=NUMBER][,FEATURE=VALUE]..."
+_SILENT = 5.0  # s without a frame, after which the camera is opened again
+
+
+class GenICamCamera:
+    """First camera of a GenTL producer, or that with a serial number; features of the camera are set before it starts.
+
+    Frames are Mono8 to Mono16. The time stamp is the camera's; NaN where its producer passes none on.
+    """
+
+    live = True
+
+    def __init__(self, producer: str, serial: str | None, features: dict[str, str]) -> None:
+        try:
+            self._harvester = importlib.import_module("harvesters.core").Harvester()
+        except ImportError:
+            raise ImportError(name="harvesters") from None
+        if not Path(producer).is_file():
+            raise PlayerError(f"{producer}: is no file; give the .cti file of the camera's maker")
+        self.stamp = math.nan
+        self._camera: Any = None
+        try:
+            self._harvester.add_file(producer)
+            self._harvester.update()
+            known = [one.serial_number for one in self._harvester.device_info_list]
+            if not known or (serial or known[0]) not in known:
+                raise PlayerError(f"{producer} finds the cameras {', '.join(known) or 'none'}; is it on?")
+            self._camera = self._harvester.create({"serial_number": serial or known[0]})
+            nodes = self._camera.remote_device.node_map
+            for name, value in features.items():
+                _set(nodes, name, value)
+            self._camera.start()
+        except BaseException:
+            self.close()
+            raise
+
+    def read(self) -> Array:
+        """Return the next frame (H, W); raise an error where none comes within five seconds."""
+        with self._camera.fetch(timeout=_SILENT) as buffer:
+            picture = buffer.payload.components[0]
+            if not picture.data_format.startswith("Mono"):
+                raise PlayerError(
+                    f"the camera gives {picture.data_format}: set its PixelFormat to Mono8, or for more bits to "
+                    "Mono10, Mono12 or Mono16"
+                )
+            try:
+                self.stamp = buffer.timestamp_ns / 1e9
+            except Exception:  # of the producer's own kind
+                self.stamp = math.nan
+            # The camera writes into the buffer again when it is given back.
+            frame: Array = picture.data.reshape(picture.height, picture.width).copy()
+            return frame
+
+    def close(self) -> None:
+        """Stop and release the camera and its producer."""
+        if self._camera is not None:
+            self._camera.stop()
+            self._camera.destroy()
+        self._harvester.reset()
+
+
+def open_address(address: str) -> Source:
+    """Open the camera of PRODUCER.cti, with `serial` and features of the camera as NAME=VALUE."""
+    producer, *settings = address.split(",")
+    pairs = dict(one.partition("=")[::2] for one in settings)
+    serial = pairs.pop("serial", None)
+    return GenICamCamera(producer, serial, pairs)
+
+
+def _set(nodes: Any, name: str, value: str) -> None:
+    """Set a feature of the camera from text; raise PlayerError if it is unknown or does not take the value."""
+    node = getattr(nodes, name, None)
+    if node is None:
+        raise PlayerError(f"the camera has no feature {name!r}")
+    try:
+        node.from_string(value)
+    except Exception as error:
+        raise PlayerError(f"the camera does not take {name}={value} ({error})") from None

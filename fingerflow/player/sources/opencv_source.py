@@ -1,0 +1,51 @@
+"""Source of frames from a camera that OpenCV captures, such as a webcam or a network stream."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
+from fingerflow.player.sources.source import Source
+
+ADDRESS = "opencv:INDEX"
+
+
+class OpenCvCamera:
+    """Camera number INDEX of this computer, or a stream of this address; colours are converted to grey.
+
+    The time stamp is the driver's, where it gives one.
+    """
+
+    live = True
+
+    def __init__(self, index: str) -> None:
+        try:
+            self._cv2: Any = importlib.import_module("cv2")
+        except ImportError:
+            raise ImportError(name="opencv-python-headless") from None
+        self._capture = self._cv2.VideoCapture(int(index) if index.isdigit() else index)
+        self.stamp = math.nan
+        if not self._capture.isOpened():
+            raise PlayerError(f"OpenCV finds no camera {index!r}")
+
+    def read(self) -> Array:
+        """Return the next frame (H, W); raise OSError where the camera gives none."""
+        there, frame = self._capture.read()
+        if not there:
+            raise OSError("the camera gave no frame")
+        stamp = self._capture.get(self._cv2.CAP_PROP_POS_MSEC) / 1e3
+        self.stamp = stamp if stamp > 0 else math.nan  # 0 and -1 stand for none
+        grey: Array = self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+        return grey
+
+    def close(self) -> None:
+        """Close the camera."""
+        self._capture.release()
+
+
+def open_address(address: str) -> Source:
+    """Open the camera of this number."""
+    return OpenCvCamera(address)

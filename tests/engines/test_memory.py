@@ -1,0 +1,37 @@
+"""Memory planned for recordings together, against that counted in the steps of a frame."""
+
+import pytest
+import torch
+
+from bench.launches import count_launches
+from bench.suites.gpu import _works
+from fingerflow.engines.memory import FRAMES, bytes_of_recording, recordings_that_fit
+from fingerflow.errors import is_out_of_memory
+
+
+@pytest.mark.parametrize(("shape", "points"), [((512, 640), 700), ((256, 320), 200), ((512, 640), 1400)])
+def test_more_is_planned_than_is_counted(shape: tuple[int, int], points: int) -> None:
+    """By as much as templates, copies for graphs and frames of 32 bit need, which the steps are given."""
+    works = _works(shape, points, 1)
+    peaks = {name: count_launches(work.graph, work.inputs).peak for name, work in works.items()}
+    assert peaks["contact"] > 4 * shape[0] * shape[1]
+    assert peaks["deformation"] > 4 * points**2
+    of_frame = peaks["contact"] + max(peaks["deformation"], peaks["outliers"])
+    counted = FRAMES * of_frame + peaks["key"] + peaks["tracking"]
+    assert counted < bytes_of_recording(*shape, points, 21) < 2.5 * counted
+
+
+def test_recordings_that_fit() -> None:
+    of_one = bytes_of_recording(512, 640, 700, 25)
+    assert recordings_that_fit(0, 512, 640, 700, 25) == 1
+    few, many = (recordings_that_fit(size * 1e9, 512, 640, 700, 25) for size in (8, 80))
+    assert many - few == pytest.approx(0.7 * 72e9 / of_one, abs=1)
+    assert few > 8
+
+
+def test_errors_of_memory() -> None:
+    assert is_out_of_memory(MemoryError())
+    assert is_out_of_memory(torch.OutOfMemoryError("CUDA out of memory"))
+    assert is_out_of_memory(RuntimeError("DefaultCPUAllocator: can't allocate memory"))
+    assert not is_out_of_memory(RuntimeError("shapes do not match"))
+    assert not is_out_of_memory(ValueError("allocate memory"))

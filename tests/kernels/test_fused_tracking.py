@@ -1,0 +1,213 @@
+"""The fused kernel against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.engines.engine import EngineSettings, Followed
+from fingerflow.engines.torch import TorchEngine, _TorchTemplates
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import serving
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.ops.tracking.templates import Found, Templates, find_templates, prepare_templates
+from tests.replayed_ops import Ops
+
+pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
+
+DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+HEIGHT, WIDTH, POINTS, RECORDINGS = 48, 56, 7, 2
+# px and grey levels: sums of a window in another order.
+CLOSE = {"rtol": 2e-4, "atol": 2e-5, "equal_nan": True}
+
+Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(autouse=True)
+def portable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU without Triton; `fused` changes that."""
+    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
+
+
+@pytest.fixture
+def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)
+
+
+def skin(shift: float, seed: int, levels: float = 255.0) -> Tensor:
+    """Waves of periods from 6 px on, moved by a shift along x and half of it along y: (H, W) of 0 to `levels`."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    waves = random.uniform(-1, 1, (30, 3))
+    total = sum(np.sin(a * (x - shift) + b * (y - shift / 2) + 9 * c) for a, b, c in waves)
+    return torch.from_numpy((0.45 + 0.05 * np.asarray(total)).clip(0, 1) * levels)
+
+
+def views(shift: float, kind: torch.dtype) -> Tensor:
+    """Frames (B, 1, H, W) of two skins."""
+    levels = 255.0 if kind == torch.uint8 else 4000.0
+    whole = torch.stack([skin(shift, seed, levels) for seed in range(RECORDINGS)])[:, None]
+    return (whole.round() if kind != torch.float32 else whole).to(kind).to(DEVICE)
+
+
+def points(seed: int = 0) -> Tensor:
+    """Points (B, N, 2): in the middle, near borders, beyond them, none."""
+    random = torch.Generator().manual_seed(seed)
+    found = 16 + torch.tensor([WIDTH - 32.0, HEIGHT - 32.0]) * torch.rand(RECORDINGS, POINTS, 2, generator=random)
+    found[0, 1] = torch.tensor([torch.nan, 20.0])
+    found[0, 2] = torch.tensor([5.2, 30.0])
+    found[1, 3] = torch.tensor([WIDTH - 3.0, HEIGHT - 4.0])
+    found[1, 4] = torch.tensor([-300.0, 1e9])
+    return found.to(DEVICE)
+
+
+def agree(ours: Found, theirs: Found, scale: float = 1.0) -> None:
+    """The same status, and results to rounding; those of points without a step are not defined."""
+    torch.testing.assert_close(ours.status, theirs.status, rtol=0, atol=0)
+    for one, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(one, other, **{**CLOSE, "atol": scale * CLOSE["atol"]})
+
+
+LONG = pytest.mark.long  # the interpreter takes seconds
+
+
+@pytest.mark.parametrize(
+    ("kind", "window", "gain_offset"),
+    [
+        (torch.uint8, 11, True),
+        *(pytest.param(kind, 25, False, marks=LONG) for kind in (torch.uint8, torch.int32, torch.float32)),
+        *(pytest.param(kind, 11, True, marks=LONG) for kind in (torch.int32, torch.float32)),
+    ],
+)
+def test_a_frame(kind: torch.dtype, window: int, gain_offset: bool, fused: Callable[[], None]) -> None:
+    templates = prepare_templates(views(0, kind), points(), window, gain_offset=gain_offset)
+    near = points() + 0.3
+    near[1, 5] += 2.0  # more than one step away
+    near[1, 6, 0] = torch.nan
+    current = views(0.4, kind)
+    given = {"noise": torch.tensor([1.0, 3.0], device=DEVICE)} if gain_offset else {}
+    expected = find_templates(templates, current, near, **given)
+    fused()
+    found = find_templates(templates, current, near, **given)
+    agree(found, expected)
+    said = set(expected.status.flatten().tolist())
+    assert {TrackStatus.TRACKED, TrackStatus.NOT_FINITE, TrackStatus.LEFT_FRAME} <= said
+
+
+@LONG
+def test_every_reason(fused: Callable[[], None]) -> None:
+    """Blank skin, a pixel that is none, another skin, contrast that is reversed, a limit that nothing keeps."""
+    before = views(0, torch.float32)
+    before[1, 0, :24] = 100.0
+    templates = prepare_templates(before, points(), 11)
+    other = views(0.2, torch.float32)
+    other[0, 0, 20:, 30:] = 4000 - other[0, 0, 20:, 30:]
+    other[0, 0, 20, 24] = torch.nan
+    other[1] = other[0].nan_to_num().roll(9, 1)
+    noise = torch.tensor([1.0, 3000.0], device=DEVICE)  # more than all contrast: no skin differs from another
+    for limits in ({}, {"forward_backward_limit": 1e-5}, {"rounds": 1, "mismatch_limit": 1.0}, {"noise": noise}):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(serving, "_is_on_gpu", lambda tensor: False)
+            expected = find_templates(templates, other, points(), **limits)
+        fused()
+        # Of what matches nothing the residual is large.
+        agree(find_templates(templates, other, points(), **limits), expected, scale=10)
+
+
+def test_views_smaller_than_a_patch(fused: Callable[[], None]) -> None:
+    """The border is replicated, and nothing is found."""
+    image = views(0, torch.uint8)[:, :, :12, :14]
+    near = torch.rand(RECORDINGS, POINTS, 2, device=DEVICE) * 10
+    templates = prepare_templates(image, near, 11)
+    expected = find_templates(templates, image, near)
+    fused()
+    agree(find_templates(templates, image, near), expected)
+
+
+def follow(engine: TorchEngine) -> list[Followed]:
+    """Two recordings of four and two frames, and of seven and five points, of which some are lost for a frame."""
+    frames, start = [[views(0.3 * k, torch.uint8)[b] for k in range(5)] for b in range(RECORDINGS)], points()
+    frames[0][2][:, :, : WIDTH // 2] = frames[0][2].flip(1)[:, :, : WIDTH // 2]
+    many = []
+    for b, (last, count) in enumerate(((4, 7), (2, 5))):
+        templates = prepare_templates(frames[b][0][None], start[b : b + 1, :count], 11)
+        place = start[b, :count].cpu().numpy()
+        speed = np.full_like(place, 0.1)
+        many.append((_TorchTemplates(templates), torch.stack(frames[b][1 : last + 1]), place, speed, None))
+    return engine.joined("follow", many)
+
+
+@LONG
+def test_recordings_of_several_frames(fused: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """One launch follows all; each from its own prediction, to its own last frame."""
+    engine = TorchEngine(EngineSettings(window_px=11), DEVICE)
+    expected = follow(engine)
+    fused()
+    monkeypatch.setattr(TorchEngine, "_look", None)  # no frame by itself
+    for ours, theirs in zip(follow(engine), expected, strict=True):
+        np.testing.assert_array_equal(ours.found.status, theirs.found.status)
+        known = theirs.found.status == TrackStatus.TRACKED
+        for one, other in zip(ours.found, theirs.found, strict=True):
+            np.testing.assert_allclose(one[known], other[known], **CLOSE)
+        for one, other in ((ours.place, theirs.place), (ours.speed, theirs.speed)):
+            np.testing.assert_allclose(one, other, **CLOSE)
+    tracked = expected[0].found.status == TrackStatus.TRACKED
+    assert (tracked[0] & ~tracked[1] & tracked[2]).any()
+    assert (tracked[2] & tracked[3]).any()
+
+
+def test_none_at_all(fused: Callable[[], None]) -> None:
+    fused()
+    templates = prepare_templates(views(0, torch.uint8), points(), 11)
+    none = Templates(*(one[:, :0] for one in templates))
+    found = find_templates(none, views(0, torch.uint8), points()[:, :0])
+    assert found.points.shape == (RECORDINGS, 0, 2)
+
+
+def test_where_it_is_used(fused: Callable[[], None]) -> None:
+    fused()
+    samples = torch.zeros(1, 3, 3, 121)
+    assert kernels.fused_serves(samples)
+    assert not kernels.fused_serves(samples.double())
+    assert not kernels.fused_serves(torch.zeros(1, 3, 3, 59**2))
+    with Ops():  # as where a graph is traced, or its launches are counted
+        assert not kernels.fused_serves(samples)
+
+
+COMPILE = """
+import triton
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource
+from fingerflow.kernels.tensors.fused_tracking import _follow
+
+integers = dict.fromkeys(("recordings", "count", "height", "width", "rounds"), "i32")
+others = dict.fromkeys(("rounding", "forward_backward_limit", "mismatch_limit"), "fp32")
+arrays = {"lengths": "*i32", "status": "*u8"}
+for capability, frames, window, ones in ((87, "*u8", 25, ()), (90, "*i32", 11, ("recordings", "count", "rounds"))):
+    constants = {"OWN_NOISE": window == 25, "WINDOW": window, "SIDE": 32, **dict.fromkeys(ones, 1)}
+    kinds = {**integers, **others, **arrays, "frames": frames, **dict.fromkeys(constants, "constexpr")}
+    signature = {name: kinds.get(name, "*fp32") for name in _follow.arg_names}
+    target = GPUTarget("cuda", capability, 32)
+    made = triton.compile(ASTSource(fn=_follow, signature=signature, constexprs=constants), target=target)
+    assert made.asm["cubin"]
+    assert made.metadata.shared <= 48 << 10, made.metadata.shared
+"""
+
+
+@LONG
+def test_it_compiles_for_gpus_that_are_not_here(tmp_path: Path) -> None:
+    """To machine code of a Jetson Orin and an H100; it fits into the shared memory of a block."""
+    environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
+    environment["TRITON_CACHE_DIR"] = str(tmp_path)
+    ended = subprocess.run(
+        [sys.executable, "-c", COMPILE], capture_output=True, text=True, check=False, env=environment
+    )
+    assert ended.returncode == 0, ended.stderr

@@ -1,0 +1,72 @@
+"""Fields that vanish at the border: normal equations by moments, and the scale of the prior by search."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fingerflow.pipeline.stages.strain import border_field
+from fingerflow.pipeline.stages.strain.border_field import BorderFunctions
+
+Array = NDArray[np.float64]
+FUNCTIONS = BorderFunctions()
+
+
+def functions_at(places: Array) -> Array:
+    """The K functions (N, K) at places (2, N)."""
+    i, j = FUNCTIONS._powers
+    x, y = places[:, :, None]
+    result: Array = (1 - x**2 - y**2) * ((x**i * y**j) @ FUNCTIONS._mixed)
+    return result
+
+
+def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, Array, Array]:
+    """Places (2, N) in the disc, displacements (2, N) of a smooth field with noise, and weights (N,); some are 0."""
+    random = np.random.default_rng(seed)
+    radius, turn = np.sqrt(random.uniform(0, 0.95, numbers)), random.uniform(0, 2 * np.pi, numbers)
+    places = radius * np.stack((np.cos(turn), np.sin(turn)))
+    coefficients = size * random.standard_normal((FUNCTIONS._mixed.shape[1], 2))
+    std = noise * random.uniform(0.5, 2, numbers)
+    moved = (functions_at(places) @ coefficients).T + std * random.standard_normal((2, numbers))
+    return places, moved, np.where(random.uniform(size=numbers) < 0.9, std**-2.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "noise", "size"), [(500, 1e-3, 1.0), (60, 1e-3, 3.0), (30, 1e-2, 0.3), (500, 0.1, 0.1)]
+)
+def test_fit_is_that_of_the_most_likely_scale(numbers: int, noise: float, size: float) -> None:
+    """The truth solves the normal equations of functions at the points, for each scale, by eigenvalues. 1e-8: sums of
+    monomials of degree 16, squares of the inverse of their Gram matrix."""
+    each = [one_fit(numbers, noise, size, seed) for seed in range(10)]
+    found = FUNCTIONS.fit(*(np.stack(one) for one in zip(*each, strict=True)))
+    for k, (places, moved, weight) in enumerate(each):
+        known = weight > 0
+        root = np.sqrt(weight[known])
+        functions, weighed = root[:, None] * functions_at(places[:, known]), (root * moved[:, known]).T
+        squares, turned = np.linalg.eigh(functions.T @ functions)
+        seen, values = turned.T @ functions.T @ weighed, []
+        for scale in border_field._SCALES[1:-1]:
+            shrunk = 1 + scale * squares.clip(0)
+            rest = (weighed**2).sum() - scale * (seen**2 / shrunk[:, None]).sum()
+            spread = max(rest / weighed.size, 1)
+            likelihood = -weighed.size * np.log(spread) - 2 * np.log(shrunk).sum() - rest / spread
+            inverse = scale * (turned / shrunk) @ turned.T
+            values.append((likelihood, inverse @ functions.T @ weighed, spread * inverse))
+        _, coefficients, covariance = max(values, key=lambda one: one[0])
+        np.testing.assert_allclose(found.coefficients[k], coefficients, atol=1e-8 * abs(coefficients).max())
+        np.testing.assert_allclose(found.covariance[k], covariance, atol=1e-8 * abs(covariance).max())
+
+
+def test_functions_vanish_at_the_border() -> None:
+    turn = np.linspace(0, 2 * np.pi, 7)
+    assert abs(functions_at(np.stack((np.cos(turn), np.sin(turn))))).max() < 1e-12
+
+
+def test_derivatives_of_functions() -> None:
+    """Mean products of derivatives, by differences of the functions in another quadrature."""
+    nodes, shares = np.polynomial.legendre.leggauss(16)
+    turns = 2 * np.pi * np.arange(40) / 40
+    places = (np.sqrt((nodes[:, None] + 1) / 2) * np.stack((np.cos(turns), np.sin(turns)))[:, None]).reshape(2, -1)
+    step = 1e-6 * np.eye(2)[..., None]
+    slopes = np.stack([functions_at(places + one) - functions_at(places - one) for one in step]) / 2e-6
+    expected = (slopes * np.repeat(shares / 2 / 40, 40)[:, None]).mT @ slopes
+    np.testing.assert_allclose(FUNCTIONS.squares, expected, atol=1e-8 * abs(expected).max())

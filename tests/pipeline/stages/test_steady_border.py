@@ -1,0 +1,57 @@
+"""Borders smoothed over time: exact where the contact grows evenly, and several times better than single frames."""
+
+import numpy as np
+import pytest
+
+from fingerflow.pipeline.stages.strain.steady_border import steady_border
+from fingerflow.tracker.contact_border import Border
+
+FRAMES = np.arange(60)
+TIMES = FRAMES / 60
+
+
+def growing(frames: int = 60) -> Border:
+    """An ellipse whose squared axes and centre are quadratic in time until it stops growing, at frame 40."""
+    time = np.minimum(np.arange(frames) / 40, 1)
+    squares = (2 * time - time**2)[:, None] * np.array([36.0, 20.0]) + np.array([0.3, 0.2])
+    return Border(np.outer(time - time**2 / 2, [0.3, -0.2]), np.sqrt(squares), np.full(frames, 0.4))
+
+
+def test_an_evenly_growing_contact_is_kept() -> None:
+    """Exactly up to 0.1 s before growth ends. There 13 frames have half the curvature of those before: 3 um."""
+    given = growing()
+    found = steady_border(given, TIMES)
+    for one, other in zip(found, given, strict=True):
+        np.testing.assert_allclose(one[:34], other[:34], atol=1e-9)
+        np.testing.assert_allclose(one, other, atol=5e-3)
+
+
+def test_errors_of_single_frames_average_out() -> None:
+    """20 um of independent errors at 60 Hz: parabolas of 13 frames leave 0.41 of it, and more where fewer count."""
+    given, random = growing(), np.random.default_rng(1)
+    errors = []
+    for _ in range(20):
+        noisy = given._replace(semi_axes=given.semi_axes + 0.02 * random.standard_normal((60, 1)))
+        errors.append((steady_border(noisy, TIMES).semi_axes - given.semi_axes)[2:-2])
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(0.010, abs=0.002)
+
+
+def test_frames_of_other_contacts_do_not_count() -> None:
+    """A finger that is lifted and put down a centimetre away, or that is far larger in the next frame."""
+    given = growing()
+    moved = given._replace(center=given.center + np.where(FRAMES >= 50, 10.0, 0.0)[:, None])
+    larger = given._replace(semi_axes=given.semi_axes + np.where(FRAMES >= 50, 3.0, 0.0)[:, None])
+    for other in (moved, larger):
+        found = steady_border(other, TIMES)
+        np.testing.assert_allclose(found.semi_axes[:50], steady_border(growing(50), TIMES[:50]).semi_axes, atol=1e-6)
+        np.testing.assert_allclose(found.semi_axes[50:], other.semi_axes[50:], atol=1e-9)
+
+
+def test_frames_without_contact_stay_unknown_and_single_ones_as_they_are() -> None:
+    given = growing()
+    axes = given.semi_axes.copy()
+    axes[:20] = axes[21:] = np.nan
+    alone = Border(np.where(np.isfinite(axes), given.center, np.nan), axes, np.where(FRAMES == 20, 0.4, np.nan))
+    found = steady_border(alone, TIMES)
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)

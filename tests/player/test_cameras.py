@@ -1,0 +1,232 @@
+"""Cameras: the clock of time stamps, GenICam by a simulated GenTL producer and by a real one, OpenCV, and wrappers."""
+
+import sys
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import frame
+
+from fingerflow.errors import PlayerError
+from fingerflow.player.camera_clock import CameraClock
+from fingerflow.player.sources.camera_source import open_camera
+
+
+def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
+    """A camera that counts from 100 s, at 250 Hz; transfers of 2 ms and more, and a jam of 40 ms after the fourth."""
+    clock, late = CameraClock(), np.array([3, 2, 4, 2, 42, 38, 34, 2.5]) / 1e3
+    stamps = 100 + np.arange(len(late)) / 250
+    seen = [clock.see(stamp, 7000 + stamp - 100 + one) for stamp, one in zip(stamps, late, strict=True)]
+    intervals, latencies = np.diff([one[0] for one in seen]), 7000 + stamps - 100 + late - [one[1] for one in seen]
+    np.testing.assert_allclose(intervals, 1 / 250, atol=1e-9)
+    # From the second frame on the shortest transfer is known: what is more than 2 ms is latency.
+    np.testing.assert_allclose(latencies[1:], late[1:] - 2e-3, atol=1e-9)
+    assert clock.has_stamps
+
+
+def test_a_clock_follows_the_drift_of_two_clocks() -> None:
+    """100 ppm over a minute would be 6 ms; within a window of 5 to 10 s it is 1 ms at most."""
+    clock = CameraClock()
+    stamps = np.arange(0, 60, 0.02)
+    for drift in (1 - 1e-4, 1 + 1e-4):
+        clock = CameraClock()
+        late = [stamp * drift - clock.see(stamp, stamp * drift)[1] for stamp in stamps]
+        assert min(late) >= 0
+        assert max(late) <= 1.1e-3
+
+
+def test_a_clock_that_starts_again_is_measured_anew(caplog: pytest.LogCaptureFixture) -> None:
+    clock = CameraClock()
+    for stamp, arrival in ((50.0, 1000.0), (50.1, 1000.1), (0.0, 1000.2), (0.1, 1000.3), (0.05, 1000.4)):
+        time, exposed = clock.see(stamp, arrival)
+        assert time == pytest.approx(arrival)
+        assert exposed == pytest.approx(arrival)
+    assert caplog.text.count("is not after the one before") == 1
+
+
+def test_time_stamps_of_a_wrapper_are_those_of_the_records(stream: Stream) -> None:
+    stamps = 5 + np.array([0, 0.003, 0.006, 0.0095, 0.012])
+    given = [(frame(contact_px=10 * k), stamp) for k, stamp in enumerate(stamps)]
+    ended = stream.run(*stream.frames(given), "--policy", "every")
+    np.testing.assert_allclose(ended.results.records["time"], stamps - 5, atol=1e-9)
+    assert ended.summary["time_stamps"] == "camera"
+    without = [frame(contact_px=10 * k) for k in range(3)]
+    (stream.folder / "results").rename(stream.folder / "before")
+    assert stream.run(*stream.frames(without)).summary["time_stamps"] == "arrival"
+
+
+class Producer:
+    """What harvesters gives of a GenTL producer: one camera whose buffer is used again for every frame."""
+
+    serials: ClassVar = ["17"]
+    kind: ClassVar = "Mono8"
+    events: ClassVar[list[str]] = []
+    frames: ClassVar[list[Any]] = []
+
+    def __init__(self) -> None:
+        self.device_info_list: list[Any] = []
+        nodes = {name: SimpleNamespace(from_string=self._take(name)) for name in ("ExposureTime", "PixelFormat")}
+        self.remote_device = SimpleNamespace(node_map=SimpleNamespace(**nodes))
+        self._buffer = np.zeros(0, np.uint8)
+        self._left = iter(self.frames)
+
+    def _take(self, name: str) -> Any:
+        def take(value: str) -> None:
+            if not value:
+                raise ValueError("no value")
+            self.events.append(f"{name}={value}")
+
+        return take
+
+    def add_file(self, path: str) -> None:
+        self.events.append(Path(path).name)
+
+    def update(self) -> None:
+        self.device_info_list = [SimpleNamespace(serial_number=one) for one in self.serials]
+
+    def create(self, asked: dict[str, str]) -> "Producer":
+        self.events.append(f"create {asked['serial_number']}")
+        return self
+
+    def start(self) -> None:
+        self.events.append("start")
+
+    @contextmanager
+    def fetch(self, timeout: float) -> Any:
+        picture, stamp = next(self._left)
+        if picture is None:
+            raise TimeoutError("no buffer")
+        self._buffer = self._buffer if self._buffer.size == picture.size else np.empty(picture.size, picture.dtype)
+        self._buffer[:] = picture.ravel()
+        height, width = picture.shape
+        part = SimpleNamespace(data=self._buffer, height=height, width=width, data_format=self.kind)
+        buffer = SimpleNamespace(payload=SimpleNamespace(components=[part]))
+        if stamp is not None:
+            buffer.timestamp_ns = stamp
+        yield buffer
+        self._buffer[:] = 0  # the camera writes into it again
+
+    def stop(self) -> None:
+        self.events.append("stop")
+
+    def destroy(self) -> None:
+        self.events.append("destroy")
+
+    def reset(self) -> None:
+        self.events.append("reset")
+
+
+@pytest.fixture
+def producer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    module, core = ModuleType("harvesters"), ModuleType("harvesters.core")
+    core.Harvester = Producer  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "harvesters", module)
+    monkeypatch.setitem(sys.modules, "harvesters.core", core)
+    for name, value in (("events", []), ("frames", []), ("kind", "Mono8")):
+        monkeypatch.setattr(Producer, name, value)
+    file = tmp_path / "maker.cti"
+    file.touch()
+    return str(file)
+
+
+def test_a_gentl_camera_gives_frames_and_its_own_times(stream: Stream, producer: str) -> None:
+    Producer.frames = [(frame(contact_px=10 * k), 10**9 + 4_000_000 * k) for k in range(5)]
+    camera = f"genicam:{producer},serial=17,ExposureTime=900,PixelFormat=Mono8"
+    ended = stream.run("--camera", camera, "--policy", "every", "--frames", "5")
+    records = ended.results.records
+    np.testing.assert_array_equal(records["real_contact_area"], np.arange(5) * 2.5)
+    np.testing.assert_allclose(records["time"], np.arange(5) * 0.004, atol=1e-9)
+    assert (records["latency"] > 0).all()
+    assert Producer.events == [
+        *("maker.cti", "create 17", "ExposureTime=900", "PixelFormat=Mono8", "start", "stop", "destroy", "reset")
+    ]
+
+
+def test_a_gentl_camera_that_falls_silent_is_opened_again(
+    stream: Stream, producer: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Producer, "frames", [(frame(), 10**6), (None, None)])
+    ended = stream.run("--camera", f"genicam:{producer}", "--policy", "every", "--frames", "3")
+    assert ended.summary["reconnects"] == 2
+    assert Producer.events.count("create 17") == 3
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("{},serial=18", "finds the cameras 17; is it on?"),
+        ("{},Exposure=1", "the camera has no feature 'Exposure'"),
+        ("{},ExposureTime=", "the camera does not take ExposureTime= (no value)"),
+        ("nowhere.cti", "nowhere.cti: is no file; give the .cti file"),
+    ],
+)
+def test_what_a_gentl_camera_does_not_have_is_named(producer: str, asked: str, said: str) -> None:
+    with pytest.raises(PlayerError) as refused:
+        open_camera(f"genicam:{asked.format(producer)}")
+    assert said in str(refused.value)
+    assert Producer.events[-1:] in ([], ["reset"])  # nothing stays open
+
+
+def test_a_gentl_camera_of_colours_is_refused(producer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Producer, "kind", "BayerRG8")
+    Producer.frames = [(frame(), None)]
+    with pytest.raises(PlayerError, match="gives BayerRG8: set its PixelFormat to Mono8"):
+        open_camera(f"genicam:{producer}").read()
+
+
+def test_a_real_gentl_producer_by_harvesters() -> None:
+    """The package genicam ships one with three simulated cameras, which give no time stamps."""
+    pytest.importorskip("harvesters", reason="the package harvesters is not installed: only a simulated one is tested")
+    found = find_spec("genicam")
+    assert found is not None
+    assert found.origin is not None
+    file = Path(found.origin).with_name("viky.cti")
+    if not file.exists():
+        pytest.skip("this version of the package genicam ships no producer")
+    camera = open_camera(f"genicam:{file},serial=1,PixelFormat=Mono8")
+    frames = [camera.read() for _ in range(3)]
+    assert np.isnan(camera.stamp)
+    camera.close()
+    assert {(one.shape, str(one.dtype)) for one in frames if one is not None} == {((400, 400), "uint8")}
+    colour = open_camera(f"genicam:{file},PixelFormat=RGBa8")
+    with pytest.raises(PlayerError, match="gives RGBa8: set its PixelFormat"):
+        colour.read()
+    colour.close()
+
+
+def test_opencv_gives_grey_frames_and_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a file, as there is no camera here: OpenCV opens both alike."""
+    path = str(tmp_path / "a.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"MJPG"), 50.0, (96, 64))
+    for grey in (40, 90, 140):
+        writer.write(np.full((64, 96, 3), grey, np.uint8))
+    writer.release()
+    camera = open_camera(f"opencv:{path}")
+    stamps = []
+    for grey in (40, 90, 140):
+        found = camera.read()
+        assert found is not None
+        assert found.shape == (64, 96)
+        assert abs(int(found.mean()) - grey) <= 2
+        stamps.append(camera.stamp)
+    assert stamps[2] - stamps[1] == pytest.approx(0.02, abs=1e-3)
+    with pytest.raises(OSError, match="the camera gave no frame"):
+        camera.read()
+    camera.close()
+    with pytest.raises(PlayerError, match="OpenCV finds no camera '97'"):
+        open_camera("opencv:97")
+
+
+def test_a_package_that_a_camera_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("harvesters.core", "cv2"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(PlayerError, match="needs the package harvesters: `pip install harvesters`"):
+        open_camera(f"genicam:{tmp_path / 'a.cti'}")
+    with pytest.raises(PlayerError, match="needs the package opencv-python-headless"):
+        open_camera("opencv:0")

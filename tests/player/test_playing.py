@@ -1,0 +1,113 @@
+"""Playing from Python: the function, the loop, the benchmark, and how far results fall behind."""
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import frame
+
+from fingerflow import player
+from fingerflow.errors import PlayerError
+from fingerflow.player.benchmark import benchmark
+from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
+from fingerflow.player.stream_player import Player
+
+
+@pytest.fixture
+def source(stream: Stream) -> dict[str, Any]:
+    """Arguments of `play` for nine frames of a file."""
+    np.save(stream.folder / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(9)]))
+    named = {"bundle": stream.bundle, "source": stream.folder / "frames.npy", "output": stream.folder / "results"}
+    return {**named, "page": "off", "threads": 1}
+
+
+def test_a_function_is_called_with_each_frame(source: dict[str, Any]) -> None:
+    found: list[tuple[int, float]] = []
+
+    def take(stamp: player.FrameStamp, values: Mapping[str, float]) -> None:
+        found.append((stamp.number, values["real_contact_area"]))
+
+    summary = player.play(on_frame=take, **source)
+    assert found == [(k, 2.5 * k) for k in range(9)]
+    assert summary["outputs"][0]["sent"] == summary["processed"] == 9
+    np.testing.assert_array_equal(player.read_results(source["output"]).records["frame"], np.arange(9))
+
+
+def test_a_loop_gets_each_frame_and_ends_the_stream(source: dict[str, Any], stream: Stream) -> None:
+    areas = [values["real_contact_area"] for _, values in player.live_frames(**source)]
+    assert areas == [2.5 * k for k in range(9)]
+    before = threading.active_count()
+    cameras = player.live_frames(
+        stream.bundle, lambda: lambda: frame(contact_px=40), output=stream.folder / "more", page="off", threads=1
+    )
+    for stamp, values in cameras:
+        assert values["real_contact_area"] == 10
+        assert stamp.record["position_px"].shape == (10, 2)
+        break
+    cameras.close()  # type: ignore[attr-defined]
+    assert threading.active_count() <= before
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"rates": 3}, "unrecognized arguments: --rates 3"),
+        ({"rate": -1}, "argument --rate: -1 is not above"),
+        ({"send": ["udp:1"]}, "is no HOST:PORT"),
+    ],
+)
+def test_wrong_options_are_errors_not_exits(source: dict[str, Any], options: dict[str, Any], said: str) -> None:
+    for play in (player.play, lambda **given: list(player.live_frames(**given))):
+        with pytest.raises(PlayerError) as refused:
+            play(**source, **options)
+        assert said in str(refused.value)
+
+
+def test_the_benchmark_says_a_rate_and_its_latency(stream: Stream, capsys: pytest.CaptureFixture[str]) -> None:
+    said = benchmark(stream.bundle, 0.1, 0.1).splitlines()
+    assert said[0].startswith("as fast as possible: ")
+    assert said[1].split() == ["frames/s", "median", "ms", "p99", "ms", "overruns"]
+    assert said[-1].startswith("This PC holds ")
+    shares = [float(line.split()[0]) for line in said[2:-1]]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] == pytest.approx(0.9 * float(said[0].split()[4]), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("median", "loses", "silent", "said"),
+    [
+        (7800.0, False, False, "7.8 s behind"),
+        (4.0, True, False, "frames or messages are lost"),
+        (None, False, True, "no result for 1 s"),
+        (4.0, False, False, ""),
+    ],
+)
+def test_how_results_fall_behind_is_said(
+    source: dict[str, Any], median: float | None, loses: bool, silent: bool, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[Player] = []
+    run = Player.run
+    monkeypatch.setattr(Player, "run", lambda one: (found.append(one), run(one))[1])
+    player.play(**source, rate=1000)
+    found[0].recent = {"median": median}
+    found[0].frames_in += silent
+    assert found[0]._falls_behind(loses, silent) == said
+    found[0]._can_wait = True  # a file as fast as possible has no camera to keep up with
+    assert found[0]._falls_behind(loses, silent) == ""
+
+
+def test_no_frame_of_the_synthetic_source_repeats_another(stream: Stream) -> None:
+    """On the way back and in the next period, for as many frames as a stream compares."""
+    source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8)
+    drawn = source._ring.astype(int)
+    frames = [source.read() for _ in range(520)]
+    assert len({one.tobytes() for one in frames}) == len(frames)
+    noise = np.stack([one - drawn[source._buffer_index(k)] for k, one in enumerate(frames)])
+    assert abs(noise).max() <= 4  # no grey level has wrapped around
+    assert noise.std() == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.02)  # rounded
+    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1
+    ended = stream.run("--source", "synthetic", "--frames", "260")
+    assert "repeated" not in ended.summary["not_usable"]

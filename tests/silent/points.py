@@ -1,0 +1,231 @@
+"""What makes tracked points wrong: dust that rests on the glass, salt and pepper, lossy video, a second touch.
+
+Of dust and pixels, the number is the share of accepted positions that are wrong by more than 0.5 px and by more than
+four of their deviations, and the strain energy over its deviation from that without them. A share of 0.1 % is right;
+a larger one, and what is NaN, needs a warning of the cause. Of touches it is the median divergence, um/mm, in the last
+frame. Recordings without a fault must drop no point, and give no new warning.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+import xarray as xr
+
+from bench.recordings import write_quietly
+from bench.suites.prints import DPI, FINGERS
+from fingerflow import load_scene, player, process
+from fingerflow.kernels.library import is_present
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.schema.scene import Scene
+from fingerflow.synthetic import Press, Slide, SyntheticScene, scene_of_print
+from fingerflow.synthetic.texture import RidgeTexture
+from tests.recordings.camera_files import write_video
+from tests.silent.case import Case
+from tests.silent.contact import PRESS
+from tests.silent.settings import KNOWN
+from tests.small_trials import recipe_of_trials, scene_beside, warnings_of, write_library_bundle
+
+Array = np.ndarray[Any, Any]
+
+OUTPUTS = ["position_px", "position_std_px", "status", "strain_energy", "strain_energy_std", "median_divergence",
+    "median_divergence_std", "field_coverage", "in_contact"]  # fmt: skip
+WRONG_PX, DEVIATIONS, MOST_WRONG = 0.5, 4.0, 1e-3
+_LOOKS = 24  # frames
+_DARK, _RADII = 0.5, (1.5, 3.0)  # of the light, and px: specks as in the suite `flow_outliers`
+_AWAY = 90  # px by which each of two touches lies beside the middle
+_DEEP_MM = 0.2  # inside the border: farther than it can be wrong
+
+
+def cases() -> Iterator[Case]:
+    """Yield dust, defective pixels and touches, then recordings without a fault."""
+    press = replace(Press(), n_frames=100, frame_rate=100.0, frames_before_trigger=4)
+    slide = replace(Slide(), n_frames=100, frame_rate=100.0, frames_before_trigger=4)
+    for name, trial in {"press": press, "slide": slide}.items():
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / "clean"
+            write_quietly(recording, trial)
+            yield from _spoiled(name, trial, recording)
+    yield second_touch()
+    if FINGERS.is_dir():
+        yield from _prints()
+    yield from _without_faults()
+
+
+class Spoiled(NamedTuple):
+    """Arrays in place of the files of a recording, and words of the warning that states the cause."""
+
+    case: str
+    arrays: dict[str, Array]
+    cause: str
+
+
+def _spoiled(name: str, trial: SyntheticScene, recording: Path) -> Iterator[Case]:
+    """Yield the cases of a trial whose pictures are spoiled."""
+    right = process(recording / "scene.toml", OUTPUTS)
+    for one in _spoilings(trial, recording):
+        with tempfile.TemporaryDirectory() as folder:
+            result = process(scene_beside(recording, Path(folder), **one.arrays), OUTPUTS)
+        yield judged(f"{name}: {one.case}", trial, result, right, one.cause)
+    with tempfile.TemporaryDirectory() as folder:
+        result = process(_encoded(recording, Path(folder)), OUTPUTS)
+    yield judged(f"{name}: H.264, crf 28", trial, result, right, "h264")
+
+
+def _spoilings(trial: SyntheticScene, recording: Path) -> Iterator[Spoiled]:
+    frames = np.load(recording / "frames.npy")
+    black, empty = (np.load(recording / f"{name}.npy").astype(np.float32) for name in ("dark", "empty"))
+    for count in (60, 300):
+        share = specks(trial, count)
+        dusty = np.stack([np.clip((one - black) * share + black, 0, 255).round() for one in frames]).astype(np.uint8)
+        arrays = {"frames": dusty, "empty": (empty - black) * share + black}
+        yield Spoiled(f"{count} specks of dust", arrays, "rests on the glass")
+    for share in (0.001, 0.005):
+        draw = np.random.default_rng(3).random(frames.shape, dtype=np.float32)
+        salty = np.where(draw < share / 2, 0, np.where(draw > 1 - share / 2, 255, frames)).astype(np.uint8)
+        yield Spoiled(f"salt and pepper, {share:.1%}", {"frames": salty}, "salt and pepper")
+
+
+def specks(trial: SyntheticScene, count: int) -> Array:
+    """Return the share (H, W) of the light that specks of dust leave, at the same places of the glass in both views."""
+    (rows, columns), generator = trial.frame_shape, np.random.default_rng(5)
+    matrix, half = np.array(trial.topography_to_contact), columns // 2
+    share = np.ones((rows, columns), np.float32)
+    for right, down, wide in generator.random((count, 3)):
+        at, radius = np.array([right * half, down * rows]), _RADII[0] + wide * (_RADII[1] - _RADII[0])
+        for view, (x, y) in (("topography", at), ("contact", matrix[:, :2] @ at + matrix[:, 2])):
+            part = trial.views[view].crop(share[None])[0]
+            top, left = max(int(y - 3 * radius), 0), max(int(x - 3 * radius), 0)
+            near = part[top : int(y + 3 * radius) + 2, left : int(x + 3 * radius) + 2]
+            if near.size:
+                below, beside = np.mgrid[top : top + near.shape[0], left : left + near.shape[1]]
+                near *= 1 - _DARK * np.exp(-((((beside - x) ** 2 + (below - y) ** 2) / radius**2) ** 2))
+    return share
+
+
+def _encoded(recording: Path, folder: Path) -> Scene:
+    """Write the frames of a recording as H.264, and return its scene."""
+    options = {"crf": "28", "preset": "veryfast", "threads": "1"}
+    write_video(folder / "a.mkv", np.load(recording / "frames.npy", mmap_mode="r"), "libx264", "yuv420p", **options)
+    scene = scene_beside(recording, folder)
+    text = scene.path.read_text(encoding="utf-8").replace((recording / "frames.npy").as_posix(), "a.mkv")
+    scene.path.write_text(text, encoding="utf-8")
+    return load_scene(scene.path)
+
+
+def judged(case: str, trial: SyntheticScene, result: xr.Dataset, right: xr.Dataset, cause: str) -> Case:
+    """Judge positions and energy of a spoiled trial, of which `right` is the result without the fault."""
+    position, deviation = result["position_px"].values, result["position_std_px"].values
+    looks = np.unique(np.linspace(1, trial.n_frames - 1, _LOOKS).astype(int))
+    true = np.stack([trial.truth.follow(position[0], 0, frame) for frame in looks])
+    away = np.hypot(*np.moveaxis(position[looks] - true, -1, 0))
+    accepted = result["status"].values[looks] == TrackStatus.TRACKED
+    wrong = accepted & (away > WRONG_PX) & ~(away < DEVIATIONS * deviation[looks])
+    share = float(wrong.sum() / max(accepted.sum(), 1))
+    off = result["strain_energy"].values - right["strain_energy"].values
+    scatter = np.hypot(result["strain_energy_std"].values, right["strain_energy_std"].values)
+    unknown = float(np.isnan(off[trial.n_frames // 4 :]).mean())
+    square = np.square(off / scatter)[trial.n_frames // 4 :]
+    energy = float(np.sqrt(np.mean(square[np.isfinite(square)]))) if np.isfinite(square).any() else np.nan
+    said = [one for one in warnings_of(result).splitlines() if cause in one]
+    exact = share < MOST_WRONG and unknown == 0 and energy < 3
+    number = f"{share:.2%} wrong, energy {energy:.1f} deviations off, NaN in {unknown:.0%}"
+    stated = f"{np.mean(accepted):.0%} accepted; " + (said or ["nothing"])[0][:90]
+    return Case(case, number, "0", stated, "warned" if said else "right" if exact else "wrong in silence")
+
+
+def second_touch() -> Case:
+    """Judge a finger that is lifted, and touches again with other skin at another place."""
+    press = replace(PRESS, semi_axes=(2.2, 1.9), finger=(3.0, 2.6), n_frames=60, frame_rate=60.0)
+    others = replace(press, texture=RidgeTexture(centre=(2.0, 1.5)))
+    with tempfile.TemporaryDirectory() as folder:
+        parts = []
+        for name, trial, shift in (("first", press, -_AWAY), ("second", others, _AWAY)):
+            write_quietly(Path(folder) / name, trial)
+            frames, empty, dark = (
+                np.load(Path(folder) / name / f"{one}.npy").astype(np.float32) for one in ("frames", "empty", "dark")
+            )
+            light = empty - dark
+            share = np.where(light > 2, (frames - dark) / np.maximum(light, 2), 1)
+            for view in trial.views.values():
+                view.crop(share)[:] = np.roll(view.crop(share), shift, 2)
+            parts.append(share)
+        nothing = 1 + np.random.default_rng(1).normal(0, 0.015, (8, *light.shape))
+        lifted = np.concatenate([parts[0], parts[0][::-2], nothing, parts[1]])
+        arrays = {"frames": np.clip(lifted * light + dark, 0, 255).round().astype(np.uint8)}
+        (Path(folder) / "both").mkdir()
+        scene = scene_beside(Path(folder) / "first", Path(folder) / "both", forces=False, stream=False, **arrays)
+        result = process(scene, OUTPUTS)
+    found, deviation = (1e3 * float(result[f"median_divergence{of}"].values[-1]) for of in ("", "_std"))
+    true = 1e3 * others.truth.medians(59).divergence
+    verdict = "right" if abs(found - true) < 2 * deviation else "wrong in silence"
+    return Case("second touch at another place", f"{found:.1f}", f"{true:.1f}", f"{deviation:.1f}", verdict)
+
+
+def _prints() -> Iterator[Case]:
+    """Yield presses of real prints: points at the rim that are never in contact, and a stream without a region."""
+    for path in sorted(FINGERS.glob("*.tif")):
+        press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
+        with tempfile.TemporaryDirectory() as folder:
+            write_quietly(Path(folder) / "press", press)
+            result = process(Path(folder) / "press" / "scene.toml")
+            yield _at_the_rim(path.stem, press, result)
+            yield without_fault(f"press of {path.stem}", result)
+            if path.stem == "101_1" and is_present():
+                yield _stream_without_region(press, Path(folder))
+
+
+def _at_the_rim(name: str, press: Press, result: xr.Dataset) -> Case:
+    """Judge the points that are never in contact, and lie in the true one by more than its border can be wrong."""
+    onset, last = result["onset_frame"].values, press.n_frames - 1
+    ellipse = press.truth.ellipse(last)
+    assert ellipse is not None
+    depth = ellipse.distance(*torch.from_numpy(result["position"].values[-1]).double().unbind(-1)).numpy()
+    missed = (onset < 0) & (depth > 0)
+    deep = int((missed & (depth > _DEEP_MM)).sum())
+    farthest = float(np.max(depth[missed], initial=0))
+    number = f"{int(missed.sum())} missed, {deep} by more than {_DEEP_MM} mm"
+    return Case(f"onset at the rim: {name}", number, "0", f"up to {farthest:.2f} mm", "right" if deep <= 1 else "wrong")
+
+
+def _stream_without_region(press: Press, folder: Path) -> Case:
+    """Judge a stream whose scene says nothing of where points are seeded, with too few of them for the whole view."""
+    text = (folder / "press" / "scene.toml").read_text(encoding="utf-8")
+    scene = folder / "press" / "whole.toml"
+    scene.write_text(text[: text.index("[stream]")] + f'[stream]\noutput = "{(folder / "live").as_posix()}"\n')
+    recipe = recipe_of_trials()
+    tracking = recipe.tracking.model_copy(update={"points": 300})
+    views = recipe.views.model_copy(update={"height": 512, "width": 640})
+    bundle = write_library_bundle(folder / "bundle", recipe.model_copy(update={"tracking": tracking, "views": views}))
+    assert player.main([str(bundle), "--scene", str(scene), "--page", "off", "--threads", "1"]) == 0
+    records = np.array(player.read_results(folder / "live").records)
+    found, gross = 1e3 * records["median_divergence"], records["gross_contact_area"]
+    true = np.array([1e3 * press.truth.medians(frame).divergence for frame in range(press.n_frames)])
+    covered = (gross > 20) & (gross < 50)
+    known = float(np.isfinite(found[covered]).mean())
+    off = (np.abs(found - true) / (1e3 * records["median_divergence_std"]))[covered]
+    worst = float(np.nanmax(off, initial=0))
+    verdict = "right" if known > 0.9 and worst < DEVIATIONS else "wrong"
+    number = f"median divergence known in {known:.0%} of frames, {worst:.1f} deviations off"
+    stated = f"{int(records['restart'][-1])} seedings"
+    return Case("stream without region, 300 points", number, "100 %, 0", stated, verdict)
+
+
+def _without_faults() -> Iterator[Case]:
+    for name, trial in {"press": Press(), "slide": Slide()}.items():
+        with tempfile.TemporaryDirectory() as folder:
+            write_quietly(Path(folder) / "trial", trial)
+            yield without_fault(name, process(Path(folder) / "trial" / "scene.toml"))
+
+
+def without_fault(name: str, result: xr.Dataset) -> Case:
+    """Judge warnings and dropped points of a trial without a fault."""
+    said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
+    held = int((result["status"].values == TrackStatus.DUST_IN_WINDOW).sum())
+    number = f"{len(said)} warnings, {held} of {result['status'].size} positions dropped"
+    verdict = "false alarm" if said or held else "right"
+    return Case(f"no fault: {name}", number, "0, 0", (said or ["nothing"])[0][:90], verdict)

@@ -1,0 +1,10 @@
+"""No tracked point is wrong in silence, and nothing right is dropped."""
+
+import pytest
+
+from tests.silent.points import cases
+
+
+@pytest.mark.long
+def test_no_point_is_wrong_in_silence() -> None:
+    assert [one for one in cases() if one.verdict not in ("warned", "right")] == []
