@@ -29,7 +29,7 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
         "topography_view": _picture(frame.key),
         "points": torch.from_numpy(frame.points).double()[None],
         "prediction": torch.from_numpy(frame.expected).double()[None],
-        "inverse_warp": torch.eye(2, dtype=torch.float64).expand(1, own.points, 2, 2),
+        "inverse_warp": torch.eye(2, dtype=torch.float32).expand(1, own.points, 2, 2),
     }
 
     known |= graphs["light"].run(known)
