@@ -158,8 +158,8 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
         return tuple(track(Templates(*given[:3]), *given[3:]))
 
     def support(start: Tensor) -> tuple[Tensor, ...]:
-        outer, inner = supports_of(start, WARP_GAUGE_PX)
-        return *outer, *inner
+        # Compiled kernels need none.
+        return tuple(part for one in supports_of(start, WARP_GAUGE_PX) if one is not None for part in one)
 
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
         found = Found(points, points[..., 0], covariance, points[..., 0], points)  # error, status, estimate: unused
