@@ -134,9 +134,12 @@ def thresholds() -> Iterator[Call]:
 
 
 def regions() -> Iterator[Call]:
-    """Of patches, and of ridges within an ellipse, with a hole and dirt, on frames of sizes that are no whole cells."""
+    """Of patches, and of ridges within an ellipse, with a hole and dirt, on frames of sizes that are no whole cells.
+
+    None of these has a pixel so near the limit that rounding decides on which side it lies (0.4 has two).
+    """
     settings = ((1, None), (2, None), (8, None), (8, 8), (30, 4), (255, 4))
-    for share, shape, (radius, cell) in product((0.0, 0.1, 0.4, 0.7, 1.0), SHAPES, settings):
+    for share, shape, (radius, cell) in product((0.0, 0.1, 0.45, 0.7, 1.0), SHAPES, settings):
         yield partial(apparent_contact, radius=radius, cell=cell), (blobs(shape, share),)
     y, x = torch.meshgrid(torch.arange(301.0), torch.arange(403.0), indexing="ij")
     inside = torch.hypot((x - 200) / 150, (y - 140) / 110) < 1
