@@ -98,8 +98,8 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, kind: st
         if variable.dims[:1] == ("frame",) and variable.dtype.kind == "f" and name not in OF_FORCES:
             assert np.isnan(variable.values[places]).all(), name
     assert (result["status"].values[places] == TrackStatus.FRAME_NOT_USABLE).all()
-    # A point that leaves its neighbours behind may be looked for elsewhere after a gap: on the slide, which loses a quarter
-    # of its points by itself, up to a tenth fail another test, or none (0.90 here).
+    # A point that leaves its neighbours behind may be looked for elsewhere after a gap: on the slide, which loses a
+    # quarter of its points by itself, a tenth fail another test, or none.
     entering = isinstance(rebuild_scene(clean.scene.path.parent), Slide)
     equal = (result["status"].values[good] == clean.result["status"].values[good]).mean()
     assert equal > (0.85 if entering else 0.97)
