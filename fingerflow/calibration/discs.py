@@ -141,7 +141,8 @@ def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tup
 
 
 def _hough_circles(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
-    """Return circles (agreement, x, y, radius) that agree with the brightness gradients of a reduced image.
+    """Return circles (agreement, x, y, radius) along which brightness rises outwards in an image reduced by the factor
+    `reduction`, for given radii; agreement, at most 1, tells how uniformly it does.
 
     They are found by a Hough transform, and x, y and radius are in px of the image before reduction.
     """
@@ -169,7 +170,9 @@ def _hough_circles(levels: Array, reduction: int, radii: list[float]) -> list[tu
 
 
 def _ring(radius: float) -> tuple[Array, Array]:
-    """Return two ring-shaped filter kernels (x, y) that respond to radial gradients at the edge of a disc."""
+    """Return two ring-shaped filter kernels that, applied to the x and the y slopes of an image and summed, give the
+    mean outward slope along a circle of a given radius, px.
+    """
     width = 0.12 * radius
     reach = int(np.ceil(radius + 3 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)

@@ -92,7 +92,8 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
 
 
 class _UnwrappedImage:
-    """Image resampled along rays from the centre of an ellipse, as grey levels (rays, radii).
+    """Grey levels (rays, radii) of an image, resampled along rays from the centre of an ellipse near the edge of a
+    disc.
 
     `factors` are the radii as multiples of the ellipse's own, within `band` of 1.
     """
@@ -119,7 +120,9 @@ class _UnwrappedImage:
         self.sigma_factors = sigma_px / radius / float(self.factors[1] - self.factors[0])
 
     def edge_points(self) -> tuple[Array, Array]:
-        """Return the position (N, 2) and angle (N,) of the steepest brightness rise along each ray."""
+        """Return the position (N, 2), px, and angle (N,) of the steepest rise in brightness along each ray, the edge of
+        the dark disc; rays without one are left out.
+        """
         along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
         slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
         slope = np.where(self.inside_image, slope, -np.inf)
@@ -157,7 +160,8 @@ class _UnwrappedImage:
 
 
 def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
-    """Fit an ellipse to edge points by robust least squares; return centre, inverse shape matrix and point weights.
+    """Fit an ellipse to edge points (N, 2) px by robust least squares; return its centre, its inverse shape matrix,
+    which maps it to the unit circle, and the weights of the points (N,).
 
     The fit starts from `middle` and `inverse`. None is returned if it fails.
     """
@@ -205,7 +209,9 @@ def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Arr
 
 
 def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
-    """Return the standard deviation (px) of a fitted disc centre, from the scatter of edge points about the ellipse."""
+    """Return the standard deviation (px) of a fitted disc centre, from the signed distances (N,) of edge points to the
+    ellipse, their derivatives by its five parameters, and their angles.
+    """
     waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
     amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
     # White noise of variance v over N points gives every amplitude the variance 2 v / N.

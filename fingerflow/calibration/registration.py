@@ -107,7 +107,9 @@ def _centered_complex(points: Array) -> NDArray[np.complex128]:
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
-    """Return all triples of discs (T, 3) that form triangles; raise FingerflowError if all are collinear."""
+    """Return those triples (T, 3) of indices of discs that form triangles; raise FingerflowError if all triples are
+    collinear.
+    """
     indices = np.array(triples)
     corners = np.array([disc.center for disc in discs])[indices]
     sides = np.roll(corners, -1, axis=1) - corners

@@ -1,1 +1,3 @@
-"""Mechanics and statistics of results in float64, without images: partial slip, skin chain, friction, observer."""
+"""Mechanical models of a pressed fingertip (partial slip, skin chain, friction, stress) and statistics of measured
+results (ideal observer), in float64 and without images.
+"""

@@ -36,7 +36,8 @@ class Friction(NamedTuple):
 def dahl_friction(
     before: Array, old: Array, place: Array, steep: Array, stiffness: float = 500.0, exponent: float = 0.7
 ) -> Friction:
-    """Compute the friction force on N elements that slide from ``old`` to ``place`` on a plate at z = 0.
+    """Compute the friction force of Dahl's model on N elements that move from positions `old` to `place` (N, 2), m,
+    over a plate at z = 0, from the force `before` this movement and the friction limit per depth, `steep`.
 
     The closed form is taken at the mean of the limits before and after, which makes the error of a changing limit third
     order. The result is clamped to the last limit, so the force never exceeds it.

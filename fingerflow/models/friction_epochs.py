@@ -53,7 +53,8 @@ def friction_epochs(
     modulation_hz: float = 4.0,
     least_speed: float = 5e-3,
 ) -> FrictionEpochs:
-    """Compute the friction coefficient |T| / N of each sliding epoch, in bins of vibration amplitude.
+    """Compute the friction coefficient |T| / N (tangential over normal force) of a tribometer trace, for each epoch of
+    sliding and in bins of vibration amplitude between `edges`.
 
     The rise of the envelope is taken from the best-fitting sinusoid at ``modulation_hz``. The finger's motion is taken
     from slopes of its position over about 1 / 25 of a half period. Neither depends on the noise of single samples.
@@ -107,7 +108,9 @@ def friction_epochs(
 def _fit_modulation(
     time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sinusoid a(t) to a vibration amplitude; return the times (s) of its minima, and |da/dt| (T,) up to 1."""
+    """Fit a sinusoid a(t) of a given frequency (Hz) to a vibration amplitude (T,); return the times (s) of its minima,
+    and |da/dt| (T,) relative to its maximum.
+    """
     phase = 2 * np.pi * frequency * (time - time[0])
     columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
     fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
@@ -140,9 +143,10 @@ def _median_and_iqr(values: NDArray[np.float64], weights: NDArray[np.float64]) -
 def _check_trace(
     time: Tensor, signals: dict[str, Tensor], edges: Tensor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Check a tribometer trace, and return time, friction ratio, position and vibration amplitude as float64.
+    """Check a tribometer trace, and return it as float64 arrays (T,): time, friction ratio |tangential| / normal force,
+    position, and vibration amplitude.
 
-    The friction ratio is tangential over normal force; NaN where the normal force is not positive.
+    The friction ratio is NaN where the normal force is not positive.
     """
     if time.ndim != 1 or len(time) < 3:
         raise ValueError(f"time is {tuple(time.shape)}: give (T,), three samples or more")

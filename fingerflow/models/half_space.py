@@ -44,7 +44,8 @@ class Stress(NamedTuple):
 def stress(
     y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
 ) -> Stress:
-    """Compute the stress at points (y, z) of a half-space under a load that is constant on each of M surface strips.
+    """Compute the stress at points (y, z), along the surface and in depth, of an elastic half-space whose surface
+    carries a load that is constant on each of M strips, bounded by `edges`.
 
     Args:
         y: position along the surface, in the unit of the edges; y and z broadcast to a shape S.
@@ -79,7 +80,9 @@ def stress(
 
 
 class _Kernels(NamedTuple):
-    """Integrals (..., points, M) of four stress kernels over each of M load strips."""
+    """Integrals (..., points, M), over each of M load strips, of four stress kernels in R, the distance between point
+    and load, and its components r along the surface and z in depth.
+    """
 
     z_rr: Tensor  # of 2 z r^2 / R^4
     zzz: Tensor  # of 2 z^3 / R^4
@@ -88,7 +91,9 @@ class _Kernels(NamedTuple):
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Integrate four stress kernels over load strips, given signed distances along the surface to both strip ends."""
+    """Integrate the four stress kernels of `_Kernels` over load strips of a given width, from each point's signed
+    distances along the surface to the first and second edge of a strip and its depth z.
+    """
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
     between = first + second

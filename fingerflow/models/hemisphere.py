@@ -18,7 +18,8 @@ _SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of
 
 
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
-    """Return the compression (L - a) / L of a skin arc of length L that is pressed flat to radius a.
+    """Return the compression (L - a) / L of the skin of a hemisphere that is indented by `delta`: its arc from pole to
+    contact edge, of length L, is pressed flat to the contact radius a.
 
     It is exact to rounding and has the broadcast shape of the arguments. A frictionless contact releases this
     compression, a sticking one retains it: about 10 % at 3 mm and a radius of 10 mm. It is differentiable, also at
@@ -58,7 +59,7 @@ def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:
 
 
 def _ratio(delta: Tensor | float, radius: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Check an indentation and a radius; return their ratio, and the radius, as float64."""
+    """Check the indentation `delta` and the radius of a hemisphere; return delta / radius and the radius, float64."""
     depth, size = (torch.as_tensor(value, dtype=torch.float64) for value in (delta, radius))
     if not bool(((size > 0) & (size < torch.inf)).all()):
         raise ValueError(f"radius {_first_invalid(size, size > 0)}: give a positive length, in the unit of delta")

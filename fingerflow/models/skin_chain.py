@@ -52,7 +52,8 @@ REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain coun
 
 @dataclass(frozen=True)
 class PressedChain:
-    """State of pressed skin chains of N elements, for every parameter set (...).
+    """State of skin chains (N elements around a bone) pressed on a plate: positions, forces, strain and contact, for
+    every parameter set (...).
 
     The results of `follow` have a leading axis of T times.
     """
@@ -74,7 +75,8 @@ class PressedChain:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the load of the M touching elements on the skin's surface, as `half_space.stress` takes it.
+        """Return the load on the skin's surface under the M elements that touch the plate, as edges of surface strips,
+        pressure and traction, the arguments of `half_space.stress`.
 
         Edges (..., M + 1) are in m, pressure and traction (..., M) in Pa. Raises ValueError if nothing touches.
         """
@@ -98,7 +100,8 @@ def press(
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
 ) -> PressedChain:
-    """Press a skin chain on the plate with a sudden load, until the unbalanced forces are below 2e-7 of the load.
+    """Press a skin chain, a half-circle of elements around a bone, on a plate with a sudden load on the bone, until the
+    unbalanced forces are below 2e-7 of the load; return its state.
 
     With friction the equilibrium depends on the path: this is the equilibrium after a sudden load. There is no
     gradient: difference presses of one batch, which costs less than an adjoint and may span several elements.
@@ -136,7 +139,8 @@ def follow(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
 ) -> PressedChain:
-    """Compute the motion of a skin chain at times (T,) under a load trace that is linear between these times.
+    """Compute the motion of a skin chain, a half-circle of elements around a bone, on a plate under a load on the bone
+    that is linear between times (T,) s; return its states at these times.
 
     Args as in `press`, each load (T,) or (T, ...); the chain starts undeformed. Raises ValueError as `press` does.
     """
@@ -159,7 +163,9 @@ def follow(
 def _undeformed_chains(
     friction: Number, parameters: str | SkinParameters, elements: int, *loads: Number
 ) -> tuple[Chains, Motion]:
-    """Return the skin chains of all parameter sets, and their initial, undeformed state."""
+    """Return the skin chains of all parameter sets, to which friction, parameters and loads broadcast, and their
+    initial, undeformed state.
+    """
     if elements < 4:
         raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
     of = parameter_set(parameters)
@@ -171,7 +177,9 @@ def _undeformed_chains(
 
 
 def _load(shape: torch.Size, down: Number, along: Number) -> Tensor:
-    """Return the load (..., 2) on the bone along x and z, N."""
+    """Return the load (..., 2) on the bone along x and z, N, from the force `down` towards the plate and the force
+    `along` it.
+    """
     x, z = (torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down))
     if not bool(x.isfinite().all() and z.isfinite().all()):
         raise ValueError("a load is not finite: cut the trace where forces are not known")
@@ -179,7 +187,9 @@ def _load(shape: torch.Size, down: Number, along: Number) -> Tensor:
 
 
 def _trace(name: str, value: Number, count: int) -> Tensor:
-    """Return a load as a trace (T, ...) over T times."""
+    """Return a load, given as a number or as a trace over `count` times, as a trace (T, ...); `name` appears in the
+    error message.
+    """
     trace = torch.as_tensor(value, dtype=torch.float64)
     if trace.ndim and len(trace) != count:
         raise ValueError(f"{name} is {tuple(trace.shape)} beside {count} times: give a number, (T,) or (T, ...)")
@@ -187,7 +197,7 @@ def _trace(name: str, value: Number, count: int) -> Tensor:
 
 
 def _coefficient(friction: Number, chains: Chains) -> Tensor:
-    """Check a friction coefficient, and return that of each element (..., N)."""
+    """Check a friction coefficient, and return it for each element of all chains (..., N)."""
     coefficient = torch.as_tensor(friction, dtype=torch.float64)
     known = (coefficient >= 0) & (coefficient < math.inf)
     if not bool(known.all()):
@@ -196,7 +206,9 @@ def _coefficient(friction: Number, chains: Chains) -> Tensor:
 
 
 def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor) -> PressedChain:
-    """Return strain, divergence, pressure and balance of chains in a state of motion under a load."""
+    """Return the complete state of chains (forces, pressure, strain, divergence, contact, balance) for a state of
+    motion `at`, friction coefficients (..., N), and a load (..., 2) on the bone, N.
+    """
     x, z = at.place.unbind(-1)
     reference = chains.reference
     displacement = at.place - reference
@@ -232,7 +244,8 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """Return the fraction (..., N - 1) of each link between neighbouring elements that lies on the plate.
+    """Return the fraction (..., N - 1), 0 to 1, of each link between neighbouring elements that lies on the plate, from
+    each element's normal force and the mask `touching`, (..., N) both.
 
     Beyond the last touching element the forces of the last two elements are extrapolated to 0, so that the contact
     length has no jumps.
@@ -251,7 +264,9 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
 
 
 def _between_neighbours(values: Tensor) -> Tensor:
-    """Return half the difference between each element's two neighbours (..., N); one-sided differences at the ends."""
+    """Return half the difference between the values (..., N) of each element's two neighbours; at both ends, the
+    difference to the only neighbour.
+    """
     inside = (values[..., 2:] - values[..., :-2]) / 2
     ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
     return torch.cat((ends[0], inside, ends[1]), -1)

@@ -84,7 +84,9 @@ def fit_skin(
         return replace(skin, tissue_stiffness=tissue, contact_stiffness=ratio * tissue)
 
     def at(logarithms: Tensor) -> Tensor:
-        """Return the residuals (S, count) at S parameter sets, given as logarithms; all presses run in one batch."""
+        """Return the residuals (S, count) of the measurements, relative to their errors, at S sets of the fitted
+        parameters, given as logarithms; all presses run in one batch.
+        """
         both = torch.from_numpy(begin).repeat(len(logarithms), 1)
         both[:, torch.from_numpy(free)] = logarithms
         mu, tissue = both.exp()[..., None].unbind(1)

@@ -12,7 +12,9 @@ Array = NDArray[np.float64]
 
 
 class Chain(NamedTuple):
-    """Parameters of one skin chain of N elements and its undeformed shape."""
+    """Mechanical parameters of one skin chain (N elements around a bone): stiffnesses, damping and friction, and its
+    undeformed shape.
+    """
 
     reference: Array  # (N, 2) x along the plate and z above it, m
     radius: float
@@ -38,7 +40,9 @@ class Chain(NamedTuple):
 
 
 def half_circle(count: int, radius: float) -> Array:
-    """Return N positions (N, 2) on a half-circle, exactly mirror-symmetric, whose lowest point touches the plate."""
+    """Return positions (N, 2), x and z, of N = `count` elements evenly spaced on a half-circle of a given radius,
+    exactly mirror-symmetric, whose lowest point touches the plate at z = 0.
+    """
     right = (
         np.linspace(0, np.pi / 2, count // 2 + 1)[1:]
         if count % 2
@@ -50,7 +54,9 @@ def half_circle(count: int, radius: float) -> Array:
 
 
 def elastic_forces(chain: Chain, nodes: Array) -> Array:
-    """Compute elastic forces (N + 1, 2) on elements and bone: the negative gradient of the elastic energy."""
+    """Compute the elastic forces (N + 1, 2), N, on elements and bone of a chain at positions `nodes` (N + 1, 2), m: the
+    negative gradient of the elastic energy.
+    """
     place, bone = nodes[:-1], nodes[-1]
     pull = chain.membrane * np.diff(place - chain.reference, axis=0)
     moved, line = place - chain.reference - bone, place - chain.centre - bone
@@ -64,7 +70,9 @@ def elastic_forces(chain: Chain, nodes: Array) -> Array:
 
 
 def tissue_slopes(chain: Chain, nodes: Array) -> Array:
-    """Compute the stiffness matrices (N, 2, 2) of tissue, shear and nail between each of N elements and the bone."""
+    """Compute the stiffness matrices (N, 2, 2), N/m, of the springs (tissue, shear and nail) between each of N elements
+    and the bone, at positions `nodes` (N + 1, 2), m.
+    """
     line = nodes[:-1] - chain.centre - nodes[-1]
     along = np.hypot(*line.T)
     direction, ratio = line / along[:, None], chain.radius / along

@@ -29,7 +29,9 @@ SHORTEST_S = 1e-13  # a step that falls below it never meets the tolerance
 
 @dataclass
 class State:
-    """State of motion of one skin chain, which `advance` changes in place."""
+    """State of motion of one skin chain (positions, friction forces, velocities and time step), which `advance` changes
+    in place.
+    """
 
     nodes: Array  # (N + 1, 2) m, elements and bone as in `skin_forces`
     friction: Array  # (N,) N, positive where it opposes motion along +x
@@ -41,7 +43,9 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the bone along x and z, N, which changes linearly over one time interval."""
+    """Load on the bone, the force along x and z in N, at the start and the end of a time interval, in which it changes
+    linearly.
+    """
 
     first: Array  # (2,)
     last: Array  # (2,)
@@ -51,7 +55,9 @@ class Load:
 
 
 def net_forces(chain: Chain, state: State, load: Array) -> Array:
-    """Return the unbalanced forces (N + 1, 2) on elements and bone under a load (2,) on the bone, N."""
+    """Return the unbalanced forces (N + 1, 2), N, on elements and bone of a chain: the sum of elastic forces, friction
+    and the load (2,) on the bone, which vanishes at equilibrium.
+    """
     forces = elastic_forces(chain, state.nodes)
     forces[:-1, 0] -= state.friction
     forces[-1] += load
@@ -59,8 +65,8 @@ def net_forces(chain: Chain, state: State, load: Array) -> Array:
 
 
 def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
-    """Advance one chain by ``duration`` s, or until the unbalanced forces sum to ``rest`` N; return the elapsed time
-    (s).
+    """Advance the state of one chain in place by ``duration`` s, or until the absolute unbalanced forces sum to
+    ``rest`` N; return the elapsed time (s).
 
     ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
     early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
@@ -89,7 +95,8 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _step_factor(error: float) -> float:
-    """Return the factor for the next time step, given the error of the last step relative to the tolerance.
+    """Return the factor by which to multiply the time step, given the error of the last step as a multiple of the
+    tolerance.
 
     It is a power of 2^(1/4), from 2^(-7/4) to 2. The coarse grid keeps rounding in the error from changing the step
     lengths.
@@ -100,7 +107,8 @@ def _step_factor(error: float) -> float:
 def _try_step(
     chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
 ) -> float:
-    """Try one time step and accept it if its error is within the tolerance; return the ratio of error to tolerance.
+    """Try one time step of `step` s and keep the new state if its position error is within the tolerance, m; return the
+    ratio of error to tolerance.
 
     The ratio is infinite if Newton's iteration fails.
     """
@@ -148,9 +156,10 @@ def _newton(
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve an implicit step, damping (X - known) = c forces(X), for node positions X by Newton's method.
+    """Solve an implicit step, damping (X - known) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
+    Newton's method from a guess; return X, the friction forces (N,) and the last matrix.
 
-    Return X, the friction and the last matrix. ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the
+    ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the
     elements slide. Returns None if Newton's iteration does not converge.
     """
 

@@ -37,7 +37,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Chains:
-    """Parameters of many chains (...) with the same number of elements."""
+    """Mechanical parameters and undeformed positions of a batch (...) of skin chains with the same number N of
+    elements.
+    """
 
     shape: torch.Size
     reference: Tensor  # (..., N, 2)
@@ -46,7 +48,9 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Return chains of ``count`` elements with the parameters of a skin, for a shape (...) of parameter sets."""
+        """Return chains of ``count`` elements for each of a batch (...) of parameter sets, to whose shape the
+        parameters of a skin broadcast.
+        """
         parameters = skin.for_elements(count)
 
         def number(name: str, of: SkinParameters = parameters) -> Tensor:
@@ -63,7 +67,7 @@ class Chains:
 
     @property
     def contact(self) -> Tensor:
-        """Return the contact stiffness of the plate under each chain of skin elements, N/m."""
+        """Return the stiffness, N/m, with which the plate resists penetration by one element, for each chain (...)."""
         return self.numbers[..., NUMBERS.index("contact")]
 
     def undeformed(self) -> Motion:
@@ -73,7 +77,7 @@ class Chains:
         return Motion(self.reference, bone, rubbed, none + _FIRST_STEP, none, none.long())
 
     def single(self, index: int) -> Chain:
-        """Return the parameters of the chain with a given flat index."""
+        """Return the parameters of one chain, selected by its index in the flattened batch."""
         count = self.reference.shape[-2]
         numbers = self.numbers.reshape(-1, len(NUMBERS))[index].tolist()
         return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
@@ -94,7 +98,8 @@ def advance_chains(
     tolerance: float,
     rest: Tensor | float,
 ) -> Motion:
-    """Return the motion after all chains advanced by ``duration`` s, or until the unbalanced forces sum to ``rest`` N.
+    """Advance all chains from a state of motion by ``duration`` s under linearly changing loads, or until the absolute
+    unbalanced forces of a chain sum to ``rest`` N; return the new state.
 
     The loads (..., 2, 2) along x and z are those at the first and the last time.
 

@@ -17,7 +17,8 @@ _SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as roundin
 
 @dataclass(frozen=True)
 class SinceOnset:
-    """Displacement and divergence since contact, at T times and M elements from the axis outward.
+    """Radial displacement and divergence of pressed skin since each element touched the plate, at T times and for M
+    elements from the finger's axis outward.
 
     Values of elements off the contact are NaN.
     """
@@ -30,7 +31,8 @@ class SinceOnset:
     contact_area: Tensor  # (T, ...) m², of the disc
 
     def mean_within(self, share: float) -> Tensor:
-        """Return the mean divergence (T, ...) over the disc of a share of the contact radius; NaN without contact.
+        """Return the mean divergence (T, ...) over the inner part of the contact, a disc whose radius is a `share` of
+        the contact radius; NaN without contact.
 
         By the divergence theorem it measures the flow out of the disc. Unlike a median it depends little on the edge of
         the contact.
@@ -41,7 +43,8 @@ class SinceOnset:
 
 
 def since_onset(press: PressedChain) -> SinceOnset:
-    """Compute displacement and divergence since each point's contact, for presses at T times from `follow`.
+    """Compute radial displacement and divergence of the skin since each point first touched the plate, for presses at T
+    times as returned by `follow`.
 
     The times must be close enough that the contact edge moves evenly between two. A median by area is small: divergence
     falls from the middle outward and is negative at the edge, where most of the area lies.
@@ -90,7 +93,9 @@ def since_onset(press: PressedChain) -> SinceOnset:
 
 
 def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
-    """Return the radial derivative of values (..., M) that are odd in the radius; one-sided at the outer end."""
+    """Return the radial derivative of values (..., M) at radii `at` (..., M), which are odd functions of the radius;
+    `centred` says that the first lies on the axis, and at the outer end it is one-sided.
+    """
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
     place = torch.cat((-at[..., mirrored], at), -1)

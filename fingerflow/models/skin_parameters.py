@@ -11,7 +11,7 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class SkinParameters:
-    """Mechanical parameters of the skin, per element of a chain of 501 elements.
+    """Mechanical parameters of the skin (stiffnesses, damping, friction), given per element of a chain of 501 elements.
 
     Tensors of one shape hold the parameters of many chains.
     """
@@ -27,7 +27,7 @@ class SkinParameters:
     width: Number = 8e-3  # m across the chain, converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
-        """Return the parameters of this skin for a chain of ``count`` elements.
+        """Return the parameters of this skin, converted from a chain of 501 elements to one of ``count`` elements.
 
         The link stiffness is inverse to the element length, all else is proportional to it.
         """

@@ -12,8 +12,8 @@ from fingerflow.models.skin_forces import Array, Chain, tissue_slopes
 
 
 class Arrow:
-    """Arrow-shaped matrix D + c K of an implicit step, with damping D and stiffness K, the negative derivative of
-    forces.
+    """Arrow-shaped matrix D + c K of an implicit step of a skin chain, with damping D and stiffness K (the negative
+    derivative of forces): banded for the elements, bordered by rows and columns for the bone.
     """
 
     def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float) -> None:
@@ -37,7 +37,9 @@ class Arrow:
         self.bone = chain.bone_damping * np.eye(2) + tissue.sum(0)
 
     def solve(self, sides: Array) -> Array:
-        """Solve the system for a right-hand side (N + 1, 2) of N elements and the bone."""
+        """Solve the linear system of the matrix for a right-hand side (N + 1, 2); return the solution (N + 1, 2), for
+        instance displacements of N elements and the bone.
+        """
         elements, bone = sides[:-1].reshape(-1, 1), sides[-1]
         columns = np.concatenate((elements, self.column), 1)
         of = solve_banded((3, 3), self.band, columns, overwrite_b=True, check_finite=False)

@@ -31,7 +31,8 @@ def viscoelastic_strain(
     rate: Tensor | float = 100.0,
     poisson_ratio: Tensor | float = 0.4,
 ) -> Strain:
-    """Compute the strain (T, ...) under stresses (T, ...) that are linear between the times (T,), exact at any step.
+    """Compute the strain (T, ...) along y and z of a Kelvin-Voigt solid under stresses (T, ...), Pa, that are linear
+    between the times (T,), s; it is exact for any time step.
 
     The strain is 0 at the first time, whatever the stress is then.
 
@@ -69,7 +70,8 @@ def viscoelastic_strain(
 
 
 def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weights of the equilibrium strain at the start and at the end of a time step.
+    """Return the weights with which the equilibrium strain (stress over modulus) at the start and at the end of a time
+    step adds to the strain at its end, for `delay`, the relaxation rate times the step.
 
     x is the relaxation rate times the step. They are (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2
     for a small step, without cancellation.
@@ -82,7 +84,9 @@ def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _end_weight(x: Tensor) -> Tensor:
-    """Return the weight of the end of a time step, (x - 1 + exp(-x)) / x, by the series x / 2! - x^2 / 3! + ..."""
+    """Return the weight with which the equilibrium strain at the end of a time step adds to the strain there, (x - 1 +
+    exp(-x)) / x with x the rate times the step, by the series x / 2! - x^2 / 3! + ...
+    """
     total = torch.zeros_like(x)
     for k in range(14, 0, -1):
         total = x * (1 / math.factorial(k + 1) - total)

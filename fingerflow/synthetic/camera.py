@@ -63,8 +63,8 @@ class Camera:
         return (clean - dark).clamp(min=0) * shot + at_half * (1 - self.shot_share)
 
     def read_out(self, clean: Tensor, picture: int, defects: View | None = None) -> NDArray[np.integer]:
-        """Return the noisy image (H, W) that the camera delivers; the same `picture` number always gives the same
-        noise.
+        """Return the noisy image (H, W) that the camera delivers for the noise-free grey levels `clean`; the same
+        `picture` number always gives the same noise.
 
         Args:
             clean: noise-free grey levels (H, W).

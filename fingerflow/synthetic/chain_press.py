@@ -1,4 +1,6 @@
-"""Synthetic press of a fingertip simulated by the skin chain, so that the spread of the skin depends on friction."""
+"""Synthetic press of a fingertip simulated by the skin chain, so that the spreading of skin over the glass depends on
+friction.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -26,7 +28,8 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainPress(SyntheticScene):
-    """Synthetic press whose skin moves as a skin chain rotated about its axis; the force rises, then stays constant.
+    """Synthetic press of a fingertip whose skin moves as a simulated chain of skin elements, rotated about its axis;
+    the force rises, then stays constant.
 
     Contact is a disc and displacement is radial; both are those of the chain. While the force is held they persist, and
     disc and skin may shift as a whole. Progress is 1 at the end of the rise and 2 in the last frame. Settings that all
@@ -67,11 +70,15 @@ class ChainPress(SyntheticScene):
 
     @property
     def chain(self) -> Chain:
-        """Return the simulated skin chain at evenly spaced times from first contact to the full force of its path."""
+        """Return the states of the simulated skin chain at evenly spaced times from first contact to the largest
+        simulated force, `path_force`, or else `force`.
+        """
         return pressed_chain(*self._path)
 
     def chain_at(self, values: Tensor) -> Array:
-        """Interpolate values (T,) at the chain's simulated times to the times of the frames; NaN before contact."""
+        """Interpolate a quantity of the simulated skin chain, given (T,) at its simulated times, to the times of the
+        frames; NaN before contact.
+        """
         share = np.minimum(self.progress(self.times), 1) * self._path_end
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
@@ -100,7 +107,9 @@ class ChainPress(SyntheticScene):
         return np.asarray(np.clip((time - self.contact_time) / self.rise_time, 0, 1))
 
     def _share_of_hold(self, time: Array) -> Array:
-        """Return the share of the time from the end of the rise to the last frame that has elapsed."""
+        """Return how much of the hold, the time from the end of the force's rise to the last frame, has elapsed at
+        times in s: 0 to 1.
+        """
         held = time - self.contact_time - self.rise_time
         whole = float(self.times[-1]) - self.contact_time - self.rise_time
         return np.asarray(np.clip(held / whole, 0, 1)) if whole > 0 else np.zeros_like(held)
@@ -111,13 +120,17 @@ class ChainPress(SyntheticScene):
 
     @property
     def _path(self) -> tuple[float, str, float, float, float, int]:
-        """Return the arguments of `pressed_chain`: skin, friction, force and rise time of the simulated chain."""
+        """Return the arguments of `pressed_chain` for this press: friction, skin parameters, softness, force, rise time
+        and number of elements.
+        """
         rise_s = self.rise_time if self.path_force is None else _PATH_S
         return self.friction, self.parameters, self.softness, self._path_force, rise_s, self.elements
 
     @property
     def _path_end(self) -> float:
-        """Return the progress of the chain's path at the full force of the press."""
+        """Return the time at which the simulated force reaches that of the press, as a share (0 to 1) of the simulated
+        rise time.
+        """
         return float(_progress_at(np.asarray(self.force / self._path_force)))
 
 
@@ -125,19 +138,25 @@ class ChainPress(SyntheticScene):
 def pressed_chain(
     friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
 ) -> Chain:
-    """Return a skin chain at 257 evenly spaced times of a force (N) that rises as sin² in a time (s)."""
+    """Simulate a skin chain that is pressed on the plate by a force which rises as sin² to `force` N in `rise_s` s;
+    return its states at 257 evenly spaced times.
+    """
     time = torch.linspace(0, rise_s, _TIMES, dtype=torch.float64)
     load = torch.from_numpy(force * force_share(np.linspace(0, 1, _TIMES)))
     return follow(friction, time, load, parameters=parameter_set(parameters).softer(softness), elements=elements)
 
 
 def force_share(progress: Array) -> Array:
-    """Return the share of the full force of the chain's path at a progress from 0 to 1."""
+    """Return the force on the simulated skin chain, as a share of its full force, at a share (0 to 1) of the rise time,
+    the progress: it rises as sin².
+    """
     return np.asarray(np.sin(math.pi / 2 * progress) ** 2)
 
 
 def _progress_at(share: Array) -> Array:
-    """Return the progress at which a share of the full force of the chain's path is reached."""
+    """Return the progress, the share of the rise time, at which the force on the simulated skin chain reaches a share
+    (0 to 1) of its full force.
+    """
     return np.asarray(2 / math.pi * np.arcsin(np.sqrt(np.minimum(share, 1.0))))
 
 
@@ -145,7 +164,9 @@ def _progress_at(share: Array) -> Array:
 def _radial_motion(
     friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
 ) -> "RadialMotion":
-    """Return the motion of a pressed chain around the origin."""
+    """Simulate a skin chain as `pressed_chain` does, and return the growth of its contact and the radial motion of its
+    skin around the origin as splines.
+    """
     chain = pressed_chain(friction, parameters, softness, force, rise_s, elements)
     x = 1e3 * (chain.position[..., 0] - chain.position[..., 0].flip(-1)).numpy() / 2
     undeformed = x[0]
@@ -232,7 +253,9 @@ class RadialMotion:
 
 
 def _smoothed(values: Array) -> Array:
-    """Fit a spline in time to simulated values (T, ...), exact at first contact; return it at K + 1 even times."""
+    """Smooth simulated values (T, ...), given at T even times, by a least-squares spline in time that is exact at first
+    contact; return its values at K + 1 even times.
+    """
     time = np.linspace(0, 1, _TIMES)
     knots = np.concatenate(([0.0] * 3, np.linspace(0, 1, _KNOTS + 1), [1.0] * 3))
     weight = np.where(time == 0, 1e3, 1.0)
@@ -240,14 +263,15 @@ def _smoothed(values: Array) -> Array:
 
 
 def _coefficients(values: Array) -> Tensor:
-    """Return cubic spline coefficients of values on a grid, padded by one mirrored coefficient at each end."""
+    """Return the coefficients of the cubic spline through values on an even grid, padded by one mirrored coefficient at
+    each end.
+    """
     return torch.from_numpy(np.pad(spline_filter(values, order=3, mode="mirror"), 1, mode="reflect"))
 
 
 def _spline_weights(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Evaluate a cubic B-spline on a uniform grid of `steps` intervals at positions 0 to 1.
-
-    Return the index of the first of the four coefficients at each position, and their four weights.
+    """Return how to evaluate a cubic B-spline on a uniform grid of `steps` intervals at positions `share` (0 to 1): the
+    index of the first of four coefficients at each position, and their four weights.
     """
     at = share.clamp(0, 1) * steps
     first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
@@ -255,7 +279,9 @@ def _spline_weights(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ..
 
 
 def _spline_value(flat: Tensor, start: Tensor, weights: tuple[Tensor, ...]) -> Tensor:
-    """Return the weighted sum of four successive coefficients, which begin at the index `start`."""
+    """Return the value of a spline: the weighted sum of four successive coefficients in `flat`, of which the first has
+    the index `start`.
+    """
     value = torch.take(flat, start) * weights[0]
     for k in range(1, 4):
         value = value.addcmul(torch.take(flat, start + k), weights[k])

@@ -91,7 +91,7 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
 
 
 def as_text(rows: list[Comparison]) -> str:
-    """Return the comparisons as a table in plain text."""
+    """Return the comparisons of measured with true values as a table in plain text, with one row per quantity."""
     lines = [f"{'quantity':33}{'measured':>12}{'truth':>12}  {'unit':7}error"]
     lines += [f"{row.quantity:33}{row.measured:12.4f}{row.truth:12.4f}  {row.unit:7}{row.error}" for row in rows]
     return "\n".join(lines)

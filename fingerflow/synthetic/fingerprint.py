@@ -71,7 +71,8 @@ class FingerprintTexture:
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
+        """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
+        glass (a `share` of its width, less near the contact border, `depth` mm away), positive inside.
 
         Pores and the border of the contact narrow the ridges.
         """

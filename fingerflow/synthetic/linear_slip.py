@@ -15,7 +15,8 @@ _SWING_HZ = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class LinearSlip(PartialSlip):
-    """A `PartialSlip` trial whose stuck area decreases with the tangential force to `last`, then collapses to 0.
+    """Synthetic trial of tangential loading whose stuck area share d² decreases with the tangential force from 1 to
+    `last`, then collapses to 0.
 
     The stuck area relative to the contact area is d² = last + (1 - last) (1 - T / T_max)^bend, where T is the
     tangential force; it collapses at the largest one, T_max.
@@ -44,7 +45,9 @@ class LinearSlip(PartialSlip):
 
 @dataclass(frozen=True)
 class LinearSlipMotion(PartialSlipMotion):
-    """A `PartialSlipMotion` whose stuck area falls to `last` as the tangential force rises, linearly if `bend` is 1."""
+    """Skin motion of a `LinearSlip` trial: the stuck area share d² falls from 1 to `last` as the tangential force
+    rises, linearly if `bend` is 1.
+    """
 
     last: float = 0.2
     bend: float = 1.0

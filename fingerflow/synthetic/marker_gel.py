@@ -78,7 +78,9 @@ class MarkerGel:
         return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
 
     def lagging(self, frame: int) -> float:
-        """Return the degree of partial slip at the contact rim in a frame, from 0 (no slip) to 1."""
+        """Return the progress of partial slip at the edge of the contact in a frame, from 0 (no slip) to 1 (the rim has
+        lost the share `lag` of the shear).
+        """
         return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
 
     def displacement(self, places: Array, frame: int) -> Array:

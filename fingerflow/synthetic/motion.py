@@ -36,23 +36,29 @@ class Ellipse:
         return math.hypot(first * cosine, second * sine), math.hypot(first * sine, second * cosine)
 
     def edge(self, count: int) -> NDArray[np.float64]:
-        """Return `count` points (count, 2) on the ellipse, mm."""
+        """Return `count` points (count, 2), mm, around the ellipse, at even steps of its parametric angle."""
         turn = np.exp(2j * np.pi * np.arange(count) / count)
         around = np.exp(1j * self.angle) * (self.semi_axes[0] * turn.real + 1j * self.semi_axes[1] * turn.imag)
         return np.stack((around.real, around.imag), -1) + self.centre
 
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the relative radius of positions: 0 at the centre, 1 on the ellipse."""
+        """Return the distance of positions (x, y), mm, from the centre relative to that of the ellipse in the same
+        direction: 0 at the centre, 1 on the ellipse.
+        """
         return _length(*self._principal(x, y))
 
     def distance(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the distance to the ellipse in mm, positive inside: exact on the ellipse and first order near it."""
+        """Return the distance, mm, of positions (x, y) from the ellipse, positive inside: exact on the ellipse and
+        first order near it.
+        """
         along, across = self._principal(x, y)
         radius = _length(along, across)
         return (1 - radius) * radius / _length(along / self.semi_axes[0], across / self.semi_axes[1])
 
     def _principal(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the components of positions along both semi-axes, in units of each."""
+        """Return the coordinates of positions (x, y), mm, along the two axes of the ellipse, from its centre and in
+        units of the semi-axes.
+        """
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
         (first, second), (centre_x, centre_y) = self.semi_axes, self.centre
         right, down = x - centre_x, y - centre_y
@@ -86,24 +92,31 @@ class Bump:
 
 
 class SkinMotion(Protocol):
-    """Interface of a skin motion, as functions of position (x, y) and progress of the movement."""
+    """Interface of a skin motion: skin and contact edge as functions of position (x, y) on the glass, mm, and progress
+    of the movement, which is 0 at its start.
+    """
 
     #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
     entry_steps: int
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the material coordinates (mm) of the skin that lies at positions (x, y) on the glass."""
+        """Return the material coordinates (mm), the positions in undeformed skin, of the skin that lies at positions
+        (x, y) mm on the glass at a progress of the movement.
+        """
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        """Return a dimensionless depth in the apparent contact: positive inside, 0 on the edge, negative outside."""
+        """Return how deep positions (x, y) mm lie inside the apparent contact at a progress of the movement, as a
+        dimensionless number: positive inside, 0 on the edge, negative outside.
+        """
 
     def ellipse(self, progress: float) -> Ellipse | None:
-        """Return the edge of the apparent contact, or None without contact."""
+        """Return the elliptic edge of the apparent contact at a progress of the movement, or None without contact."""
 
 
 @dataclass(frozen=True)
 class PressMotion:
-    """Motion of a press: contact grows from a point to `contact` while skin spreads by `gradient`, `shift` and `bumps`.
+    """Motion of skin pressed on glass: contact grows from a point to the ellipse `contact`, while skin moves by a
+    uniform `gradient` and `shift` and by local `bumps`.
 
     Progress is the length of the contact as a share of its final length. Contact area grows with the square root of the
     force and skin displacement with the force itself, that is with progress⁴:
@@ -165,11 +178,13 @@ class SlideMotion:
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        """Return the radius of the stuck ellipse relative to the contact; its square is the stuck area share d²."""
+        """Return the radius of the ellipse of stuck skin as a fraction of the contact's at a progress of the slide; its
+        square is the stuck area share d².
+        """
         return 1 - self._slip_progress(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """Return the distance, mm, by which contact and skin have slid as a whole."""
+        """Return the distance, mm, by which contact and skin have slid together up to a progress of the slide."""
         return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -189,7 +204,8 @@ class SlideMotion:
         return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
-        """Return the relative radius of the skin in contact that has moved by less than `limit` mm since the start.
+        """Return the radius, relative to that of the contact, within which skin has moved by less than `limit` mm since
+        the start.
 
         It is 0 if no skin has moved less, and infinite if all has.
         """
@@ -203,5 +219,5 @@ class SlideMotion:
         return float(self.stuck_radius(at)) + 0.6 * math.sqrt(-math.log1p(-share))
 
     def _slip_progress(self, progress: Tensor) -> Tensor:
-        """Return the progress of partial slip: 0 at the start, 1 from full slip on."""
+        """Return the progress of partial slip at a progress of the whole slide: 0 at the start, 1 from full slip on."""
         return (progress / self.full_slip).clamp(max=1)

@@ -31,17 +31,23 @@ class Lights:
     size: tuple[float, float]
 
     def grazing(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the intensity of the grazing light at positions in mm, at most 1; it fades from left to right."""
+        """Return the relative intensity, at most 1, of the grazing light at positions (x, y) in mm on the glass; it
+        fades from left to right.
+        """
         width, height = self.size
         return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
 
     def stray(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of stray light, which the topography view shows without a finger."""
+        """Return the grey levels of stray light at positions (x, y) in mm on the glass, which the topography view shows
+        without a finger.
+        """
         width, height = self.size
         return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
     def bright_field(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of the contact view without a finger: an uneven bright disc with black corners."""
+        """Return the grey levels of the contact view without a finger at positions (x, y) in mm on the glass: an uneven
+        bright disc with black corners.
+        """
         width, height = self.size
         radius = 0.47 * height
         disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
@@ -60,7 +66,8 @@ def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: T
 
 
 def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
-    """Return the grey levels of the contact view: the bright field, darkened where skin touches.
+    """Return the grey levels of the contact view: the bright field, darkened where skin touches, from signed distances
+    (mm) to the edges of the ridges and of the apparent contact, positive inside.
 
     Margins are distances (mm) to the edges of ridge and apparent contact, positive inside. The level half-way between
     ridge and valley lies on the edge of the real contact.

@@ -20,7 +20,8 @@ _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the st
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip(Slide):
-    """Slide under linearly rising load ratio T/N, with the stick region of the partial-slip model at each load.
+    """Synthetic slide under a linearly rising load ratio T/N, whose stick region at each load is that of the
+    partial-slip model (Terekhov & Hayward 2011).
 
     d² follows equation 5 of Terekhov & Hayward (2011) up to the critical load. If kinetic friction is the smaller one,
     the critical area then collapses at constant load, linearly in time; otherwise it has faded to nothing. From then on
@@ -108,17 +109,23 @@ class PartialSlipMotion(SlideMotion):
     jump: float = 0.0
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """Return the distance, mm, by which contact and skin have slid as a whole, including jumps after full slip."""
+        """Return the distance, mm, by which contact and skin have slid together as a whole at a progress of the slide,
+        including stick-slip jumps after full slip.
+        """
         late = (at for at in self.jumps if at >= self.full_slip)
         return sum((self.jump * (progress >= at).to(progress.dtype) for at in late), super().travelled(progress))
 
     def jumped(self, progress: Tensor) -> Tensor:
-        """Return the distance, mm, by which the rim of the contact has jumped in all jumps before full slip."""
+        """Return the total length, mm, of the stick-slip jumps that the rim of the contact has made up to a progress of
+        the slide, without those after full slip.
+        """
         early = (at for at in self.jumps if at < self.full_slip)
         return self.jump * sum(((progress >= at).to(progress.dtype) for at in early), 0 * progress)
 
     def load_ratio(self, progress: Tensor) -> Tensor:
-        """Return the load ratio T/N while part of the contact sticks, float64."""
+        """Return the load ratio T/N (tangential over normal force) at a progress of the slide, float64, while part of
+        the contact sticks.
+        """
         critical = critical_load_ratio(self.static_friction, self.kinetic_friction)
         return critical * (progress.double() / self.loaded).clamp(max=1)
 
@@ -138,9 +145,8 @@ class PartialSlipMotion(SlideMotion):
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
     def _slip_at(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
-        """Return the slip, mm, of skin at a relative radius, for a stick region of relative radius `stuck`.
-
-        `jumped` is the total length of the jumps, mm.
+        """Return the slip, mm, of skin at a radius relative to the contact's, for a stick region of relative radius
+        `stuck` and a rim that has jumped by `jumped` mm in total.
         """
         crept = self.creep * (_rounded_ramp(radius - stuck) - _rounded_ramp(radius - 1))
         return crept + jumped * _smoothstep((radius - stuck) / (1 - stuck).clamp(min=1e-6))
@@ -165,5 +171,7 @@ def _smoothstep(share: Tensor) -> Tensor:
 
 
 def _rounded_ramp(distance: Tensor) -> Tensor:
-    """Return a ramp, 0 for negative distances, whose kink is rounded over `_ROUNDED`."""
+    """Return max(x, 0) with a rounded kink: sqrt(x² + a²) - a for positive distances x, 0 for negative ones, with a =
+    `_ROUNDED`.
+    """
     return torch.hypot(distance.clamp(min=0), torch.full_like(distance, _ROUNDED)) - _ROUNDED

@@ -33,7 +33,8 @@ Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class Pattern(NamedTuple):
-    """Orientation field of a ridge pattern, as a formula of position.
+    """Orientation field of a ridge pattern as a formula: a function of position that returns a level, whose contours
+    are the ridges, and the local density of these contours.
 
     Wave numbers are multiples of `step` (rad/mm), or arbitrary if `step` is 0.
     """
@@ -43,7 +44,8 @@ class Pattern(NamedTuple):
 
 
 def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the height of the ridges inside (-1, 1), 1 on a crest, at positions (x, y) in mm from the core.
+    """Return the height of the ridges of a pattern, inside (-1, 1) and 1 on a crest, at positions (x, y) in mm from the
+    core of the fingerprint.
 
     Args:
         pattern: the orientation field.
@@ -79,7 +81,8 @@ def arch() -> Pattern:
 
 
 def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
-    """Return the orientation field of a loop that has its core at the origin and one delta (mm).
+    """Return the orientation field of a loop fingerprint that has its core at the origin and its delta, where three
+    ridge systems meet, at the complex position `delta` (mm).
 
     Q = (z - delta) / z. With A² = z and B² = z - delta the integral from the core is
     A B - delta log((A + B) / (-delta)^(1/2)).

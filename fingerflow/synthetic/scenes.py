@@ -136,7 +136,9 @@ class SyntheticScene:
 
     @property
     def motion(self) -> SkinMotion:
-        """Return the motion of the skin as a function of progress from 0 to 1."""
+        """Return the motion of the skin: where material points and the contact edge are at a progress of the movement
+        from 0 to 1.
+        """
         raise NotImplementedError
 
     def progress(self, time: Array) -> Array:
@@ -153,7 +155,7 @@ class SyntheticScene:
 
     @property
     def contact_centre(self) -> tuple[float, float]:
-        """Return the position on the glass at which contact begins, mm."""
+        """Return the position (x, y) on the glass, mm, at which contact begins."""
         rows, columns = self.views["contact"].shape
         return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
 
@@ -167,7 +169,9 @@ class SyntheticScene:
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
-        """Return a noise-free frame that shows both views at a progress of the movement; without a finger for None."""
+        """Return a noise-free frame that shows both views side by side at a progress of the movement, or without a
+        finger for None.
+        """
         topography_planes, contact_planes = _fixed_planes(self, dtype)
         views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
         return self.camera.expose(torch.cat(views, dim=1)).numpy()
@@ -191,7 +195,9 @@ class SyntheticScene:
         return view
 
     def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
-        """Return the rows and columns around a contact ellipse, outside which the contact view shows only glass."""
+        """Return the slices of rows and columns of the contact view around a contact ellipse, outside which it shows
+        only glass.
+        """
         right, down = (
             slice(
                 max(0, math.floor((middle - reach - optics.GLASS_FROM) / self.mm_per_px)),
@@ -204,7 +210,8 @@ class SyntheticScene:
 
 @lru_cache(maxsize=4)
 def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Return the image planes (H, W) that all frames share: coordinates in mm and illumination, of each view.
+    """Return the image planes (H, W) that all frames share: x and y in mm on the glass and the light levels at each
+    pixel, first of the topography view, then of the contact view.
 
     They are computed in float64 and rounded once.
     """

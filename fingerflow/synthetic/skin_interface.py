@@ -18,10 +18,11 @@ class Skin(Protocol):
         """Return the position of the fingerprint's core or centre, mm."""
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
+        """Return the skin's optical contrast, within [-1, 1] and bright on ridges, at material positions (x, y), mm."""
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
+        """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
+        glass (a `share` of its width), positive inside; `depth` is the distance (mm) to the contact border.
 
         The sign is exact, the distance is exact to first order.
 

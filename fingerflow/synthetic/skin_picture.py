@@ -94,21 +94,24 @@ class PictureTexture:
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside; ``share`` is ignored."""
+        """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
+        glass, positive inside; `depth` is the distance (mm) to the contact border, and ``share`` is ignored.
+        """
         value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Convert material positions (mm) to column and row in the image, which includes an added border."""
+        """Convert material positions (x, y), mm, to column and row, px, in the fingerprint image with added border."""
         rows, columns = self._levels.shape
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
 def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a synthetic press or slide of the finger in an image, with the contact as close to its centre as possible.
+    """Return a synthetic press or slide (`kind`) of the finger whose fingerprint is in an image, with the contact as
+    close as possible to the centre of the print.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
@@ -138,7 +141,9 @@ def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
 
 
 def _contact_centroid(texture: PictureTexture) -> Plane:
-    """Return the centre (x, y) in mm of the touching ridges, relative to the centre of the image."""
+    """Return the centroid (x, y), mm, of the touching ridges in a fingerprint image, relative to the centre of the
+    image.
+    """
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
@@ -178,19 +183,25 @@ def _levels(picture: Path, dpi: float) -> Levels:
 
 
 def _edge_weights(count: int, period: float) -> Plane:
-    """Return weights (count,) for a row of pixels, which rise from 0 at both ends to 1 within one ridge distance."""
+    """Return taper weights (count,) for a row of pixels, which rise from 0 at both ends to 1 over one ridge distance,
+    `period` px.
+    """
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
 
 
 def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return for each pixel the brightest grey level within one ridge distance, which shows glass or a valley."""
+    """Return for each pixel of a fingerprint image the brightest grey level within one ridge distance, `period` px,
+    which shows glass or a valley.
+    """
     size = 2 * round(period) + 1
     return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:
-    """Return the ridge distance in pixels, 4 to 40: the peak of the radial power spectrum."""
+    """Return the mean distance between ridges in a fingerprint image, 4 to 40 px: the wavelength at the peak of the
+    radial power spectrum.
+    """
     flat = plane - gaussian_filter(plane, 12.0)
     if flat.std() < 1e-3 * max(np.ptp(plane), 1.0):
         raise FingerflowError(f"{picture} shows no ridges; give a picture of a fingerprint")
@@ -204,7 +215,9 @@ def _ridge_distance(plane: Plane, picture: Path) -> float:
 
 
 def _coefficients(plane: Plane, outside: float) -> Tensor:
-    """Return the coefficients of a cubic spline through an image that is padded with a constant border."""
+    """Return the coefficients of a cubic spline through an image that is padded with a border of the grey level
+    `outside`.
+    """
     around = np.pad(plane, SURROUND, constant_values=outside)
     return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
 

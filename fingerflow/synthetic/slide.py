@@ -67,7 +67,8 @@ class Slide(SyntheticScene):
         return float(self._stuck_share(self.progress(self.times[frame])))
 
     def slow_share(self, frame: int, limit_mm: float = 0.04) -> float:
-        """Return the share of the contact whose skin has moved by less than `limit_mm` since the start.
+        """Return the share of the contact area whose skin has moved by less than `limit_mm` since the start of the
+        slide.
 
         A camera takes this share for the stick region. The limit of Terekhov & Hayward (2011) is 40 um.
         """

@@ -57,7 +57,8 @@ class RidgeTexture:
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
-        """Return the signed distance, mm, to the edge of a ridge in contact, positive inside the ridge.
+        """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
+        glass (a `share` of its width, less near the contact border, `depth` mm away), positive inside.
 
         An equal share of every ridge touches.
         """

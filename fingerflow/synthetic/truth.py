@@ -31,7 +31,8 @@ TOLERANCE = 1e-13
 
 @dataclass(frozen=True)
 class Medians:
-    """True medians over the apparent contact of one frame; NaN before contact.
+    """True medians of deformation and displacement of the skin over the apparent contact of one frame; NaN before
+    contact.
 
     Displacement and gradients count from the onset of each point. Divergence, curl = dv/dx - du/dy and the full
     Green-Lagrange strain (exx, eyy, exy) are dimensionless; the displacement is in mm, its median per component.
@@ -106,7 +107,9 @@ class Truth:
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
-        """Return the mask (H, W) of pixels of the contact view whose centre lies on a ridge in contact."""
+        """Return the mask (H, W) of pixels of the contact view whose centre lies on a part of a ridge that touches the
+        glass.
+        """
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return np.zeros(self.contact_shape, dtype=bool)
@@ -135,7 +138,8 @@ class Truth:
         return np.where(frames < len(self.progress), frames, -1)
 
     def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the displacement (..., 2) in mm of material points since their contact onset or a frame `reference`.
+        """Return the displacement (..., 2) in mm of material points (..., 2) in a frame, since their onset of contact
+        or since a frame `reference`.
 
         It is NaN before the onset and for points without one.
         """
@@ -143,7 +147,8 @@ class Truth:
         return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
     def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
-        """Return the gradient (..., 2, 2) of the displacement since the onset of contact, by the positions at onset.
+        """Return the gradient (..., 2, 2), dimensionless, of the skin's displacement since the onset of contact at
+        material points, with respect to the positions at onset.
 
         With `reference` it is F(frame) F(reference)^-1 - I, the gradient since that frame by the positions there, at
         points that touch. [..., 0, 1] is du/dy. It is NaN where the displacement is NaN, and for skin advected across
@@ -153,7 +158,8 @@ class Truth:
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
     def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Return the displacement gradient F(frame) F(onset)^-1 - I (..., 2, 2) of the skin around material points.
+        """Return the displacement gradient F(frame) F(onset)^-1 - I (..., 2, 2) of the skin around material points
+        since each touched the glass, with F the deformation gradient.
 
         It exists also for skin advected across a stationary edge, and is NaN before the onset.
         """
@@ -224,17 +230,23 @@ class Truth:
         return torch.where((_determinant(place_gradient).abs() > 1e-9)[..., None, None], gradient, math.nan)
 
     def _gradient_since(self, points: Tensor, frame: int, onset: Tensor, reference: Tensor) -> Tensor:
-        """Return the gradient since a state with the deformation gradient ``reference``; NaN before the onset."""
+        """Return the displacement gradient (..., 2, 2) of material points in a frame since a state with the deformation
+        gradient ``reference``; NaN before their `onset` of contact, a progress.
+        """
         gradient = self._deformation(points, frame) @ _inverse(reference) - torch.eye(2, dtype=torch.float64)
         return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
-        """Return the deformation gradient F (..., 2, 2) of material points in a frame."""
+        """Return the deformation gradient F (..., 2, 2), d position / d material coordinates, at material points in a
+        frame.
+        """
         progress = self._at(frame).expand(points.shape[:-1])
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the deformation gradient (..., 2, 2) and the velocity by progress (..., 2) of skin at positions."""
+        """Return, for skin at positions (..., 2) on the glass at a progress of the movement, the deformation gradient
+        (..., 2, 2), d position / d material, and the velocity (..., 2), d position / d progress.
+        """
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             material = self.motion.material(positions[..., 0], positions[..., 1], progress)
@@ -244,7 +256,9 @@ class Truth:
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of contact depth (dimensionless) by position (..., 2) and by progress (...)."""
+        """Return the derivatives of `SkinMotion.depth`, the dimensionless depth of positions inside the contact, by
+        position (..., 2) and by progress (...).
+        """
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
             depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)
@@ -252,7 +266,9 @@ class Truth:
         return slope, rate
 
     def _forward(self, material: Tensor, progress: Tensor, start: Tensor) -> Tensor:
-        """Return positions (..., 2) on the glass of material points at progress (...), by Newton's method."""
+        """Return the positions (..., 2) on the glass, mm, of material points at a progress (...) of the movement, by
+        Newton's method from the positions `start`.
+        """
         positions = start
         for _ in range(30):
             reached = torch.stack(self.motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)

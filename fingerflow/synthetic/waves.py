@@ -10,7 +10,9 @@ Waves = list[list[float]]
 
 
 def plane_waves(wavelengths: list[float], generator: torch.Generator) -> Waves:
-    """Return one plane wave for each wavelength (mm), with directions spread over the half circle."""
+    """Return one plane wave, as wave numbers (rad/mm) along x and y and a random phase, for each wavelength (mm), with
+    directions spread over the half circle.
+    """
     count = len(wavelengths)
     angles = (torch.arange(count) * 0.618 + torch.rand(1, generator=generator)) * math.pi
     angles = angles + 0.3 * (torch.rand(count, generator=generator) - 0.5)
@@ -29,7 +31,9 @@ def add_waves(plane: Tensor, waves: Waves, amplitude: float, x: Tensor, y: Tenso
 
 
 def pore_lattice(first: float, second: float, generator: torch.Generator) -> Waves:
-    """Return two waves (wavelengths in mm) that cross at 70 degrees; pores lie where both are at their maximum."""
+    """Return two plane waves of given wavelengths (mm) and random phases, whose directions differ by 70 degrees; their
+    common maxima are the pores.
+    """
     angle = math.pi * torch.rand(1, generator=generator).item()
     phases = (2 * math.pi * torch.rand(2, generator=generator)).tolist()
     directions = (angle, angle + math.radians(70))

@@ -43,7 +43,8 @@ class Samples:
 def samples_of(
     kinds: Sequence[ArrayLike], participants: Sequence[ArrayLike] | None
 ) -> tuple[list[Values], Samples, int]:
-    """Remove NaN trials from samples of a metric; return samples, resampling unit of each trial, and number removed.
+    """Remove NaN trials from the metric's values in one or more classes of trials; return the values left, the
+    resampling unit of each (its participant, or itself if None are given), and the number of trials removed.
 
     Raises:
         ValueError: infinite values, or participants whose shapes do not match the values.
@@ -69,7 +70,8 @@ def samples_of(
 def bca_interval(
     statistic: Statistic, samples: Samples, level: float, resamples: int, seed: int
 ) -> tuple[Interval, str]:
-    """Compute the BCa bootstrap interval of a statistic; the text explains a missing interval or dropped resamples.
+    """Compute the bias-corrected and accelerated (BCa) bootstrap interval of a statistic of samples at confidence
+    `level`; return it with a text that explains a missing interval or dropped resamples.
 
     Efron's BCa takes quantiles of the bootstrap, shifted by its bias and by the acceleration from a jackknife over the
     same units. It is too narrow for few units; its normal quantiles are therefore replaced by those of Student's t
@@ -130,13 +132,17 @@ def _resampled(samples: Samples, resamples: int, draw: np.random.Generator) -> I
 
 
 def _counts(draw: np.random.Generator, rows: int, units: int) -> Values:
-    """Return how often each of n units occurs in each of several bootstrap samples (rows, n)."""
+    """Return how often each of n resampling units (participants or trials) occurs in each of `rows` bootstrap samples,
+    (rows, n).
+    """
     flat = draw.integers(0, units, (rows, units)) + units * np.arange(rows)[:, None]
     return np.bincount(flat.ravel(), minlength=rows * units).reshape(rows, units).astype(np.float64)
 
 
 def _acceleration(statistic: Statistic, samples: Samples) -> float:
-    """Compute the acceleration of BCa from the jackknife influence of each unit (Efron & Tibshirani 1993, 14.15)."""
+    """Compute the acceleration constant of a BCa interval from a jackknife: the influence on the statistic of leaving
+    out each resampling unit, participant or trial (Efron & Tibshirani 1993, 14.15).
+    """
     every = range(len(samples.sizes))
     # A participant is left out of all samples, a trial of its own one.
     parts = [(every, samples.participants)] if samples.participants else [([k], samples.sizes[k]) for k in every]

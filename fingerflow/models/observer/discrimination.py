@@ -148,7 +148,8 @@ def _estimate(
     resamples: int,
     seed: int,
 ) -> Estimate:
-    """Estimate a statistic and its interval from one or two classes of trials.
+    """Estimate a statistic, with its bootstrap interval at `level`, from a metric's values in one or two classes of
+    trials (`kinds`, such as correct and incorrect).
 
     The value is NaN if a class has fewer than ``fewest`` trials.
     """
@@ -169,7 +170,7 @@ def _estimate(
 
 
 def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
-    """Return the quantile at `share` of each of R bootstrap resamples (R,).
+    """Return the quantile at `share`, 0 to 1, of the values (N,) in each of R bootstrap resamples, (R,).
 
     `weights` (R, N) count how often a resample contains each of the N values.
     """
@@ -184,7 +185,9 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
 
 
 def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
-    """Return a function that computes R areas under the ROC from R sets of trial weights (R, n_1) and (R, n_2)."""
+    """Return a function that computes R areas (R,) under the ROC for the given metric values of n_1 correct and n_2
+    incorrect trials, from R sets of trial weights (R, n_1) and (R, n_2).
+    """
     values = np.concatenate([correct, incorrect])
     order = np.argsort(values, kind="stable")
     starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)

@@ -107,10 +107,10 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
 
 def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values]:
-    """Fit a mixture of two Gaussians to each of R samples of P values.
+    """Fit a mixture of two Gaussians with one common deviation to each of R samples of P values (R, P); return share of
+    the higher group, lower mean, higher mean, deviation, and likelihood ratio against one Gaussian, (R,) each.
 
-    Return upper share, means, deviation and likelihood ratio, (R,) each. Samples have mean 0 and variance 1. The fit is
-    the best from three starts: higher groups of 1/4, 1/2 and 3/4.
+    Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """
     border = np.quantile(samples, (0.75, 0.5, 0.25), axis=1)[..., None]
     belongs = np.where(samples > border, 0.99, 0.01)  # (3, R, P)

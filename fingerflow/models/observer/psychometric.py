@@ -60,7 +60,7 @@ class PsychometricFit:
     reason: str
 
     def __call__(self, stimulus: ArrayLike) -> Values:
-        """Return the fitted share of answers at a stimulus."""
+        """Return the share of answers, 0 to 1, that the fitted psychometric curve predicts at stimuli of any shape."""
         x = np.asarray(stimulus, dtype=np.float64)
         middle = self.threshold - self.width * _core(self.share, self.guess, self.lapse)
         return np.asarray(self.guess + (1 - self.guess - self.lapse) * ndtr((x - middle) / self.width))
@@ -156,12 +156,16 @@ class _Posterior:
         return -float(logsumexp(self._log_likelihoods(values)) + prior)
 
     def overdispersion(self, values: Values) -> float:
-        """Return the posterior mean of the overdispersion for given parameters of the curve."""
+        """Return the posterior mean of the overdispersion, 0 (chance alone) to 1: the correlation of answers within a
+        block of trials, for given curve parameters `values`.
+        """
         log = self._log_likelihoods(values)
         return float(_SPREADS @ np.exp(log - logsumexp(log)))
 
     def _log_likelihoods(self, values: Values) -> Values:
-        """Return the log likelihood of the answers at each overdispersion of the grid `_SPREADS`."""
+        """Return the log likelihood (24,) of the answers for given curve parameters `values`, at each overdispersion
+        (correlation of answers within a block) of the grid `_SPREADS`, up to a constant.
+        """
         expected = self._expected(values)
         # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
         total = 1 / _SPREADS[:, None] - 1
@@ -175,7 +179,7 @@ class _Posterior:
         return np.asarray(np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12))
 
     def best(self) -> Values:
-        """Return the curve parameters that maximise the posterior.
+        """Return the parameters of the psychometric curve that maximise the posterior, in the scaled units of the fit.
 
         The posterior may have several peaks, so the search starts from the best points of a grid.
         """
@@ -184,7 +188,9 @@ class _Posterior:
         return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
 
     def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
-        """Return starting points of the fit: 12 slopes, each with the given middle of the curve or given threshold."""
+        """Return starting points of the curve fit, one for each of 12 slopes: all have the given threshold, or else the
+        given middle (stimulus at which the curve is half-way between its ends).
+        """
         rates = [logit(0.04)] * (2 if self.fixed is None else 1)
         guess = 0.02 if self.fixed is None else self.fixed
         core = _core(self.share, guess, 0.02)
@@ -195,24 +201,31 @@ class _Posterior:
         ]
 
     def threshold_of(self, chosen: NDArray[np.bool_], near: Values) -> float:
-        """Fit the curve to the chosen blocks of answers, searching from `near`; return its threshold in data units."""
+        """Fit the curve to a part of the data, the blocks of answers in the mask `chosen`, searching from the
+        parameters `near`; return its threshold in the units of the stimulus.
+        """
         part = copy(self)
         part.x, part.yes, part.number = self.x[chosen], self.yes[chosen], self.number[chosen]
         return self.parameters(part._minimised(near, 0))[0]
 
     def rises(self, values: Values) -> bool:
-        """Return True if the curve rises or falls by more than 0.01 over the range of the stimuli."""
+        """Return whether the curve with the parameters `values` changes, up or down, by more than 0.01 over the range
+        of the stimuli.
+        """
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((np.array([self.x.min(), self.x.max()]) - threshold) * slope + _core(self.share, guess, lapse))
         return bool(abs((1 - guess - lapse) * np.diff(core)[0]) > 0.01)
 
     def parameters(self, values: Values) -> tuple[float, float, float, float]:
-        """Return threshold, width, guess and lapse rate of the curve in the units of the data."""
+        """Return threshold, width, guess and lapse rate of the curve in the units of the data, from the fit's scaled
+        parameters `values`.
+        """
         threshold, slope, guess, lapse = self._natural(values)
         return self.origin + self.unit * threshold, self.unit / slope, guess, lapse
 
     def profile(self, best: Values) -> Callable[[float], float]:
-        """Return the profile function of the threshold: negative log posterior, minimised over all other parameters.
+        """Return a function of the threshold: the profile of the negative log posterior, minimised over all other
+        parameters, with searches that begin from the fitted parameters `best`.
 
         Each search starts from the solution at the nearest known threshold, and from the best of a grid.
         """
@@ -230,7 +243,9 @@ class _Posterior:
         return at
 
     def _minimised(self, start: Values, fixed: int) -> Values:
-        """Return parameters that minimise the negative log posterior near a start; the first ``fixed`` are constant."""
+        """Return curve parameters that minimise the negative log posterior near the parameters `start`; the first
+        ``fixed`` of them keep their starting values.
+        """
         limits = (_FURTHEST, _STEEPEST, *[_LOGIT] * (start.size - 2))
 
         def rest(values: Values) -> float:
@@ -246,7 +261,9 @@ class _Posterior:
 
 
 def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
-    """Return the threshold on one side of the best one whose profile value is ``allowed``, or infinity."""
+    """Return one end of the threshold's interval: the threshold above (`side` 1) or below (-1) the best one at which
+    the profile of the negative log posterior reaches ``allowed``, or infinity if none does.
+    """
     inner, reach = best, 0.05
     while profile(best + side * reach) < allowed:
         inner, reach = best + side * reach, 2 * reach

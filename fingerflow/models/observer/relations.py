@@ -101,7 +101,8 @@ def _correlation(
 
 
 def _fisher_z_without_one(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
-    """Return Fisher's z of the correlation of the pairs in the mask `rest`, which leaves out one participant.
+    """Return Fisher's z, atanh of the correlation, of those pairs (x, y) that the mask `rest` keeps, which leaves out
+    one participant; `kind` is SciPy's function for the correlation.
 
     It is NaN if the correlation is undefined.
     """

@@ -29,7 +29,8 @@ def observe(
     resamples: int = 2000,
     seed: int = 0,
 ) -> dict[str, MetricSummary]:
-    """Compute how well each metric separates correct from incorrect trials (ideal observer, Willemet et al. 2021).
+    """Compute how well each metric of a table of trials separates correct from incorrect trials: d', area under the
+    ROC, criterion and permutation test, by metric name (ideal observer, Willemet et al. 2021).
 
     Args:
         trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.

@@ -32,7 +32,9 @@ class Trials:
     rule: str = ""
 
     def split(self, metric: str) -> tuple[Values, Values]:
-        """Return a metric's values, with NaN, in correct and in incorrect trials; raise FingerflowError if unknown."""
+        """Return a metric's values in the correct and in the incorrect trials, NaN included; raise FingerflowError if
+        the table has no metric of this name.
+        """
         if metric not in self.metrics:
             raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(self.metrics)}")
         return self.metrics[metric][self.answer], self.metrics[metric][~self.answer]

@@ -47,7 +47,8 @@ class Collapse:
 
 
 def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collapse | None:
-    """Fit the time at which the stuck area share d^2 collapses: d^2 follows the load before, and falls to 0 afterwards.
+    """Fit the time at which the stuck area share d^2 (stuck over contact area) of a trial collapses: before it d^2
+    follows the load ratio T/N, and afterwards it falls to 0 at constant load.
 
     With H the largest T/N so far, t_c the change point and D the duration of the collapse,
 
@@ -132,12 +133,16 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
 
 def _shape(relative: Values) -> Values:
-    """Return unscaled curves (G, E, F) of d^2 before a collapse, for G load histories (G, 1, F) and E curvatures."""
+    """Return unscaled curves (G, E, F) of the stuck area share d^2 before a collapse, for E curvatures and G histories
+    (G, 1, F) of the load relative to that at the collapse.
+    """
     return np.asarray(np.sqrt(np.maximum(1 - relative, 0) + _BENDS) - np.sqrt(_BENDS))
 
 
 def _least_squares(first: Values, second: Values, values: Values) -> tuple[Values, Values]:
-    """Fit values (F,) by a sum of two functions with factors >= 0; return the first factor and residuals (G, E, F)."""
+    """Fit values (F,) by a first + b second, with factors a, b >= 0, for functions that broadcast to (G, E, F); return
+    a (G, E) and the residuals (G, E, F).
+    """
     aa, ab, bb = (first**2).sum(-1), (first * second).sum(-1), (second**2).sum(-1)
     av, bv = first @ values, second @ values
     determinant = aa * bb - ab**2

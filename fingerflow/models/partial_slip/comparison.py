@@ -16,7 +16,8 @@ _CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
 
 @dataclass(frozen=True)
 class CurveScore:
-    """Score of one model curve of partial slip in `compare_curves`.
+    """Score of one model curve of partial slip in `compare_curves`: its fitted friction coefficients, AICc and Akaike
+    weight.
 
     Attributes:
         coefficients: of friction, by name.
@@ -95,7 +96,9 @@ def _aicc(squared: Values, coefficients: int) -> float:
 
 
 def _deviance(squared: Values) -> float:
-    """Return -2 log likelihood of squared residuals under Student's t with its best scale, up to a common constant."""
+    """Return -2 log likelihood of residuals, given squared (F,), under Student's t-distribution of the most likely
+    scale, up to a constant that is common to all curves.
+    """
     scale = student_scale(squared)
     terms = np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))
     return float(terms.sum())

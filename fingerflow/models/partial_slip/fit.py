@@ -60,7 +60,8 @@ def fit_friction(
     resamples: int = 1000,
     seed: int = 0,
 ) -> FrictionFit:
-    """Fit static and kinetic friction of equation 5 (Terekhov & Hayward 2011) to d^2 and T/N of slow loading.
+    """Fit the coefficients of static and kinetic friction in equation 5 of Terekhov & Hayward (2011) to the stuck area
+    share d^2 and the load ratio T/N (tangential over normal force) in frames of slow loading.
 
     Both d^2 and T/N are measured with noise. The noise is estimated from their second differences, so the frames must
     be in order of time; the estimate depends on the ratio of the two. A frame's distance from the curve is its T/N
@@ -118,7 +119,8 @@ def fit_friction(
 def fit_family(
     family: CurveFamily, area: Values, load: Values, noise: tuple[float, float], weights: Values
 ) -> tuple[Values, Values]:
-    """Fit the friction coefficients of one model curve by reweighted least squares, for R sets of frame weights (R, F).
+    """Fit the friction coefficients of one model curve T/N(d^2) to stuck area shares `area` (F,) and load ratios `load`
+    (F,) with the given noise (standard deviations), by reweighted least squares, for R sets of frame weights (R, F).
 
     Returns:
         The coefficients (R, P) and the squared distances (R, F), in units of the noise.
@@ -147,13 +149,17 @@ def fit_family(
 
 
 def student_weights(squared: Values, weights: Values) -> Values:
-    """Return robust weights (R, F) of frames by Student's t-distribution, scaled to the squared residuals."""
+    """Return the factors (R, F) by which a robust fit weights its frames, from squared residuals and frame weights (R,
+    F): those of Student's t-distribution at the residuals' scale, small for outliers.
+    """
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
     return np.asarray((STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300)))
 
 
 def student_scale(squared: Values) -> float:
-    """Return the squared scale of the Student's t-distribution most likely for squared residuals (F,)."""
+    """Return the squared scale of the Student's t-distribution under which residuals, given squared (F,), are most
+    likely.
+    """
     scale = float(np.median(squared)) or float(squared.mean())
     for _ in range(4 * _ROUNDS):
         weights = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / max(scale, 1e-300))
@@ -162,9 +168,8 @@ def student_scale(squared: Values) -> float:
 
 
 def frames_of_slip(stuck_area: ArrayLike, load_ratio: ArrayLike) -> tuple[Values, Values, tuple[float, float], str]:
-    """Select the frames in which the stuck area shrinks; return their d^2 and T/N, and the noise of both.
-
-    The last item is a message if there are too few frames, else empty.
+    """Select the frames in which the stuck area shrinks; return their stuck area share d^2 and load ratio T/N, the
+    noise of both (standard deviations), and a message if there are too few frames, else empty.
 
     Raises:
         ValueError: the two differ in length.
@@ -192,7 +197,8 @@ def frame_noise(values: Values) -> float:
 
 
 def _is_shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return a mask of the frames in which the stick region shrinks: the stuck area share is clearly below 1.
+    """Return a mask (F,) of the frames in which the stick region shrinks: their load ratio implies a stuck area share
+    d^2 below 1 by more than three standard deviations of its noise.
 
     The load selects the frames: a selection by the noisy area itself would keep frames with errors to one side.
     """
@@ -214,7 +220,9 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 
 def _friction_numbers(coefficients: Values) -> Values:
-    """Return mu_s, mu_k, mu_k / mu_s and the critical stuck area share (R, 4) for R sets of fitted coefficients."""
+    """Return the coefficients of static and kinetic friction, their ratio mu_k / mu_s, and the critical stuck area
+    share, (R, 4), for R sets of fitted coefficients (R, 2).
+    """
     mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
     # Resamples without a critical area count as 0: NaN would drop them from its interval.

@@ -67,11 +67,15 @@ class BorderFit(NamedTuple):
     error: float
 
     def measured_at(self, distance: Values, seen: RampResponse) -> Values:
-        """Return the measured (blurred) displacement, mm, at distances (K,) mm beyond the border, without the base."""
+        """Return the displacement, mm, that a measurement with the blur `seen` shows at distances (K,) mm beyond the
+        border of the stick region, relative to skin that has not moved.
+        """
         return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
 
     def distance_of(self, displacement: float) -> float:
-        """Return the distance from the border, mm, at which the displacement reaches a value, mm."""
+        """Return the distance beyond the border of the stick region, mm, at which the fitted, unblurred displacement
+        reaches a value, mm.
+        """
         reached = (displacement / self.growth + self.rounding**self.power) ** (2 / self.power)
         return math.sqrt(max(reached - self.rounding**2, 0.0))
 
@@ -87,7 +91,8 @@ def window_offsets(half_window: float) -> Values:
 
 
 def blurred_ramp(distance: Values, half_window: float) -> Values:
-    """Return the mean of a ramp max(x, 0) over a tracking window whose centre is at given distances (mm) from a border.
+    """Return the mean of the ramp max(x, 0), x being the distance beyond a border, over a square tracking window of
+    half width `half_window` mm whose centre lies at given distances (mm) beyond the border.
 
     A distance is negative on the side that sticks.
     """
@@ -98,14 +103,17 @@ def blurred_ramp(distance: Values, half_window: float) -> Values:
 
 
 def border_level(width: Values, fit: BorderFit, seen: RampResponse) -> Values:
-    """Return the displacement (K,), mm, measured at a stick border inside a slipping annulus (K,) mm wide."""
+    """Return the displacement (K,), mm, that a measurement with the blur `seen` shows at the border of a stick region,
+    if skin slips by the fitted law across an annulus (K,) mm wide and moves rigidly beyond it.
+    """
     return np.asarray(fit.measured_at(np.zeros(1), seen) - fit.measured_at(-np.maximum(width, 0), seen))
 
 
 def fit_border(
     distance: Values, displacement: Values, weight: Values, seen: RampResponse, half_window: float
 ) -> BorderFit | None:
-    """Fit the position of a stick border, and the law by which displacement grows from it, to blurred displacement.
+    """Fit the position of a stick region's border, and the law by which displacement grows beyond it, to displacement
+    (K,) mm at distances (K,) mm from a contour, as blurred by tracking windows.
 
     k and the base follow by weighted least squares for each candidate of position, power and rounding. Means and
     deviations are taken over the candidates, with weights exp(-chi^2 / 2); the least chi^2 is scaled to its degrees of
@@ -147,7 +155,9 @@ def fit_border(
 
 
 def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResponse) -> Values:
-    """Return the blurred displacement law g (L, K) of L powers and roundings, at distances (K,) mm from the border."""
+    """Return the law g (L, K) of displacement growth for L powers and L roundings, blurred by the response `seen` of
+    the measurement, at distances (K,) mm beyond the border.
+    """
     # Ramps from knots add up to g, linear in between; the first knots are close, where a small power bends most.
     knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
     p, a = powers[:, None], roundings[:, None]
@@ -157,7 +167,9 @@ def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResp
 
 
 def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Values, Values]:
-    """Fit values (K,) by a multiple of each shape (C, K) plus a constant; return factor, constant and chi^2 (C,)."""
+    """Fit values (K,) by a multiple of each of C shapes (C, K) plus a constant, by weighted least squares; return
+    factor, constant and chi^2, (C,) each.
+    """
     share = weight / weight.sum()
     mean, level = shapes @ share, float(values @ share)
     apart, rest = shapes - mean[:, None], values - level

@@ -35,7 +35,8 @@ _LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fadi
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """Verdict of `judge_trial` on a trial, and the quantities that it follows from; NaN or -1 if not computable.
+    """Result of `judge_trial`: whether the stuck area of a trial vanishes abruptly or diminishes, and the quantities
+    from which this follows; NaN or -1 if not computable.
 
     Attributes:
         outcome: "vanishes abruptly", "diminishes" or "inconclusive".
@@ -88,7 +89,9 @@ class TrialVerdict:
     frames_missing: int = 0
 
     def loading(self) -> slice:
-        """Return the range of frames of slow loading, before the collapse, to which a friction law may be fitted."""
+        """Return the slice of the frames before the collapse, in which the load rises slowly and to which a friction
+        law may be fitted.
+        """
         return slice(0, self.collapse_frame + 1)
 
 
@@ -184,7 +187,9 @@ def judge_trial(
 def _complete_verdict(
     found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]
 ) -> TrialVerdict:
-    """Return a verdict with its outcomes, from the fitted collapse and the frames inside the corridor, `run`."""
+    """Complete the verdict `found` with its outcomes, from the fitted collapse, the smoothed stuck area share `area` at
+    times `when` (s), and the frames `run` before the loss of adhesion in which T/N hardly changes.
+    """
     loss = found.loss_frame
     largest = float(area[run].max())
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
@@ -241,7 +246,7 @@ def _check_curves(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
 
 
 def _smoothed(values: Values, width: int) -> Values:
-    """Return the running median of a series over its finite values; non-finite values become NaN."""
+    """Return the running median, over `width` values, of the finite values of a series; others become NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = median_filter(values[finite], size=width, mode="nearest")
@@ -249,14 +254,18 @@ def _smoothed(values: Values, width: int) -> Values:
 
 
 def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
-    """Return the noise (standard deviation) of the smoothed d^2, from frames of partial slip; 0 if too few."""
+    """Return the noise (standard deviation) that a running median over `width` frames leaves in the stuck area share
+    d^2, from the `raw` values in frames of partial slip; 0 if these are too few.
+    """
     noise = frame_noise(raw[(smoothed > 0.05) & (smoothed < 0.95)])
     # Of a median of independent values.
     return math.sqrt(math.pi / 2 / width) * noise if math.isfinite(noise) else 0.0
 
 
 def _complete_loss(area: Values, zero: float) -> int | None:
-    """Return the frame after which d^2 stays 0 with the fewest exceptions; None if d^2 is never 0."""
+    """Return the frame from which on the stuck area share d^2 stays at 0, that is at most `zero`, with the fewest
+    exceptions before and after it; None if it never is.
+    """
     known = np.flatnonzero(np.isfinite(area))
     above = area[known] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)
@@ -265,7 +274,9 @@ def _complete_loss(area: Values, zero: float) -> int | None:
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
-    """Return the frames just before the loss of adhesion in which T/N stays within 5 % of `reference`."""
+    """Return the indices of the frames directly before `loss`, the frame at which adhesion is lost, in which the load
+    ratio T/N stays within 5 % of `reference`.
+    """
     known = np.flatnonzero(np.isfinite(load[:loss]))
     outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
     return known[outside[-1] + 1 :] if outside.size else known
