@@ -159,8 +159,8 @@ def _newton(
     """Solve an implicit step, damping (X - known) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
     Newton's method from a guess; return X, the friction forces (N,) and the last matrix.
 
-    ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the
-    elements slide. Returns None if Newton's iteration does not converge.
+    ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
+    iteration does not converge.
     """
 
     def slid(nodes: Array) -> Friction:

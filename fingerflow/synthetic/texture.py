@@ -58,7 +58,7 @@ class RidgeTexture:
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
         """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
-        glass (a `share` of its width, less near the contact border, `depth` mm away), positive inside.
+        glass (a `share` of its width), positive inside; `depth` is ignored.
 
         An equal share of every ridge touches.
         """

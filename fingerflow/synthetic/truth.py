@@ -49,7 +49,7 @@ class Medians:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact values of the quantities that a pipeline measures in a synthetic scene."""
+    """Exact positions, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame."""
 
     motion: SkinMotion
     progress: Array  # (frames,) of the movement, never falling
