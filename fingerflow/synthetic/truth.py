@@ -49,7 +49,7 @@ class Medians:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact positions, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame."""
+    """Exact position, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame."""
 
     motion: SkinMotion
     progress: Array  # (frames,) of the movement, never falling
