@@ -221,7 +221,9 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """Find points (B, N, 2) of `previous` in `current` near positions `near`; also return the template statistics."""
+    """Register the points (B, N, 2) of the image `previous` in the image `current`, near predicted positions `near`;
+    also return the statistics of the points' templates.
+    """
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
@@ -253,7 +255,8 @@ def _search_lost(
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
-    """Search exhaustively for lost points within `radius` px of `guess` (B, N, 2), and insert the results into `found`.
+    """Search exhaustively for points that registration lost, within `radius` px of `guess` (B, N, 2), and return
+    `found` with the results of the search inserted.
 
     A search back from the match is independent of the displacement found. If it misses the start by more than the limit
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.

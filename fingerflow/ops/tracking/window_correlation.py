@@ -67,7 +67,8 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """Return the first of the four pixels (N, m) that interpolate each sample along one axis, and the four weights.
+    """Return the first of the four pixels (N, m) from which each sample is interpolated along one axis, and the four
+    weights of cubic convolution.
 
     `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """
