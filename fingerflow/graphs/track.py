@@ -41,7 +41,8 @@ class DeformationGraph(nn.Module):
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, supports: Supports | None = None
     ) -> Deformed:
-        """Correct the positions of points found in K frames for the measured deformation of the skin.
+        """Correct the positions of points found in K frames for the deformation of the skin in the templates' windows,
+        which is estimated from the displacements of the points since the key frame.
 
         `start` (1, N, 2) px are the positions of the points in the key frame. `numbers` (1, N, 32) are the template
         statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1 with which the templates were prepared.

@@ -46,7 +46,7 @@ def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
     """Segment the apparent (gross) contact, ridges and the gaps between them, from a mask of the pixels in contact: the
-    border is where the locally averaged mask falls to half of its mean just inside the border.
+    border is where the locally averaged mask falls to about half of its mean just inside the border.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex

@@ -370,7 +370,9 @@ def _check(
 
 
 def _check_apart(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Check an `Apart`, and return it in the dtype of `displacement`, with standard deviations only if `with_std`."""
+    """Check the points whose divergence, curl and strain are given (`Apart`), and return them in the dtype of
+    `displacement`, with standard deviations only if `with_std`.
+    """
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

@@ -306,7 +306,7 @@ def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
     """Return the weight alpha = 2 variance / roughness^2 (B, 1, 1, 1) of the smoothness term in dense flow, from the
-    noise `variance` (B,) of a pixel and the `roughness` expected of the flow.
+    noise `variance` (B,) of a pixel and the `roughness`, the expected size of the flow's gradient.
     """
     return (2 * variance / roughness**2)[:, None, None, None]
 
@@ -421,7 +421,8 @@ def _refined(
 
 
 def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual[Tensor]:
-    """Compute the residual of a flow on cells: the image difference that displacement and illumination do not explain.
+    """Compute the residual of a flow on cells of 2 x 2 px: what displacement and a change of illumination gain and
+    offset do not explain of the difference between the two images.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
@@ -443,8 +444,8 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
 def _channel_residuals(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> FlowResidual[Tensor]:
-    """Compute the image difference that a flow leaves (see `_residual`) separately for each channel, which are the grey
-    levels or the components of their gradient.
+    """Compute the image difference that a flow leaves (see `_residual`) separately for each channel: the grey levels
+    and, if these are assumed constant too, the components of their gradient.
 
     As for `_residual`, but the products with the slopes are not divided by the gain.
     """

@@ -55,7 +55,7 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
 def _passed(z: Tensor) -> Tensor:
     """Return the share of the flow's noise variance that averaging over windows leaves, 1 - z e^z E1(z) with the
-    exponential integral E1; z is window variance times structure tensor over smoothness weight.
+    exponential integral E1; z is window variance times structure-tensor eigenvalue over smoothness weight.
 
     The argument z is positive. The value is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
     """

@@ -24,7 +24,8 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """Search for windows: return the position of highest normalised cross-correlation within `radius` px of `guess`.
+    """Search for the windows around `points` of the template images in other images: return the positions of highest
+    normalised cross-correlation within `radius` px of `guess`.
 
     The radius holds in x and in y. Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess`
     is returned.

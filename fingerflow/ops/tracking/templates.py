@@ -260,7 +260,9 @@ def in_rounds(
 def further_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, rounds: int
 ) -> Found:
-    """Repeat a registration step for points that have not converged, each from the end of the previous step."""
+    """Repeat a registration step for those points of `found` that have not converged, each from the position where the
+    previous step ended, at most `rounds` times.
+    """
     for _ in range(rounds):
         lost = found.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
@@ -334,7 +336,9 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
 
 
 def _sample_straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """Sample the spline and the spline's slopes on straight (undeformed) windows around points (B, N, 2) px."""
+    """Sample the spline of an image, and the spline's slopes, on undeformed windows of `wide` x `wide` px around points
+    (B, N, 2) px.
+    """
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)

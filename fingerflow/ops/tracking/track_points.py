@@ -34,7 +34,7 @@ _GAUGE = 5.0
 
 
 class Tracks(NamedTuple):
-    """Points tracked from one image to another.
+    """Points tracked from one image to another: positions in the second image, with error, covariance and status.
 
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.

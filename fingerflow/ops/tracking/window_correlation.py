@@ -17,7 +17,8 @@ _SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation 
 
 
 def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
-    """Sample the grey levels in deformed windows by cubic convolution.
+    """Sample the grey levels of images by cubic convolution in deformed windows, on a grid of spacing `step` px around
+    each of the positions `places` (N, 2) px.
 
     Args:
         images: (n, 1, H, W).
