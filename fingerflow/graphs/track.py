@@ -60,7 +60,8 @@ class AgreementGraph(nn.Module):
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """Return the outliers among points (K, N, 2) tracked in K frames.
+        """Return flags of the outliers among points (K, N, 2) px tracked in K frames: points whose displacement or
+        uncertainty differs greatly from that of their neighbours.
 
         `position_std` (K, N) is the standard deviation of a component. `neighbours` is
         `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.

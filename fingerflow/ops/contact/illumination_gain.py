@@ -58,7 +58,8 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return, for each of N blocks of a frame, the sum of the pixel values and the sum of their squares, (B, 2, N).
+    """Return, for each of N square blocks of a frame, `block` px wide, the sum of the pixel values and the sum of their
+    squares, (B, 2, N).
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """

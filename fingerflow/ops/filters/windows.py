@@ -14,7 +14,8 @@ _POINTS_AT_A_TIME = 128
 
 
 def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
-    """Cut windows of ``size`` x ``size`` pixels from images.
+    """Cut one window of ``size`` x ``size`` pixels for each of P points from images (B, 1, H, W), given the first pixel
+    (`corner`) of each window.
 
     Args:
         images: (B, 1, H, W).

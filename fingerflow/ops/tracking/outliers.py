@@ -41,7 +41,8 @@ class Outliers(NamedTuple):
 
 
 def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """Return the nearest neighbours of each point, with which the outlier test compares the point.
+    """Return the nearest neighbours of each point, among the points within half the gauge length, with which the
+    outlier test compares the point.
 
     Args:
         positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.

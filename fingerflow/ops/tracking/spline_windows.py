@@ -96,7 +96,9 @@ def along_x(weights: Tensor, size: int) -> Tensor:
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
-    """Convert weights (..., size, size) of spline samples to the equivalent weights (..., side, side) of pixels."""
+    """Convert weights (..., size, size) of the spline samples of a window to weights (..., side, side) of the pixels of
+    its patch, which give the same weighted sum.
+    """
     middle = along_y(taps(weights.new_zeros(())), size)
     return middle.T @ weights @ middle
 

@@ -250,7 +250,8 @@ def find_templates(
 def in_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
 ) -> Found:
-    """Repeat a registration step until all points (B, N, 2) have converged, at most `rounds` times.
+    """Register templates by repetition of a registration step, from predicted positions (B, N, 2) px, until all points
+    have converged, at most `rounds` times.
 
     More than one step depends on data and cannot be exported.
     """

@@ -170,9 +170,11 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> PassResult:
-    """Track points in one or two passes, without derivatives; the arguments are those of `track_points`.
+    """Track points from one image to another in one pass, or in two, of which the second corrects for the deformation
+    that the first measured; the arguments are those of `track_points`.
 
-    One operator for the compiler, since the number of passes and searches depends on data.
+    The result has no derivatives. This is one operator for the compiler, since the number of passes and searches
+    depends on data.
     """
     kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
     start, guess = points.to(kind), guess.to(kind)
